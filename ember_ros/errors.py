@@ -1,0 +1,30 @@
+"""Every error this package raises on purpose, under one base class.
+
+A message names what is wrong, where, and what would be right.
+"""
+
+from __future__ import annotations
+
+
+class EmberError(Exception):
+    """Base of all errors that ember_ros raises on purpose."""
+
+
+class ParameterError(EmberError):
+    """A parameter is unknown, of the wrong type, or out of its range."""
+
+
+class TableError(EmberError):
+    """A Q-table file is missing, damaged, or was learnt with another meaning of its cells."""
+
+
+class PushError(EmberError):
+    """A push of learnt pairs is malformed and is refused as a whole."""
+
+
+class SignalError(EmberError):
+    """A message does not carry what its topic promises."""
+
+
+class GraphError(EmberError):
+    """The node graph did not come up, or a process of it ended before its time."""

@@ -1,0 +1,372 @@
+"""Every physical and learning number, each once, with its unit, its range and its meaning.
+
+Groups are frozen dataclasses. ROS parameter declarations, their descriptors and ranges,
+``ember params`` and the reader of parameter files all derive from the fields here; there is no
+second list. Names are ``group.field``, as in a ROS parameter file::
+
+    /**:
+      ros__parameters:
+        walker:
+          hip_half_width: 0.35
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeAlias
+
+from ember_ros.errors import ParameterError
+
+Value: TypeAlias = "float | int | bool | str | tuple[float, ...]"
+
+
+def num(default: Any, unit: str, doc: str, low: float = -math.inf, high: float = math.inf) -> Any:
+    """Make a dataclass field with a unit, a meaning and an inclusive range."""
+    return field(default=default, metadata={"unit": unit, "doc": doc, "low": low, "high": high})
+
+
+@dataclass(frozen=True)
+class Gait:
+    """The central pattern generator and the hip ramp that follows it (paper, sections II, IV)."""
+
+    period: float = num(0.5, "s", "one cycle of the CPG", 0.1, 10.0)
+    ticks: int = num(32, "1", "actions a cycle; a power of two, so that phases are exact", 4, 1024)
+    stance_share: float = num(0.75, "1", "share of the cycle in stance (3:1)", 0.1, 0.95)
+    hip_front: float = num(0.70, "rad", "hip angle at the start of stance", -1.5, 1.5)
+    hip_rear: float = num(-0.45, "rad", "hip angle at the end of stance", -1.5, 1.5)
+    offset_front_left: float = num(0.0, "cycle", "phase offset of this leg", 0.0, 1.0)
+    offset_front_right: float = num(0.5, "cycle", "phase offset of this leg", 0.0, 1.0)
+    offset_rear_left: float = num(0.5, "cycle", "phase offset of this leg", 0.0, 1.0)
+    offset_rear_right: float = num(0.0, "cycle", "phase offset of this leg", 0.0, 1.0)
+    offset_leg: float = num(0.0, "cycle", "phase offset of the trainer's leg", 0.0, 1.0)
+
+    @property
+    def tick_ns(self) -> int:
+        """Length of one tick, ns."""
+        return round(self.period * 1e9) // self.ticks
+
+    @property
+    def tick_s(self) -> float:
+        """Length of one tick, s."""
+        return self.tick_ns / 1e9
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One two-joint leg: its links, its motors, its hair (paper, section II)."""
+
+    thigh_length: float = num(0.25, "m", "hip axis to knee axis", 0.01, 5.0)
+    shank_length: float = num(0.25, "m", "knee axis to the sole", 0.01, 5.0)
+    foot_radius: float = num(0.02, "m", "the foot is a sphere at the shank's end", 0.001, 0.5)
+    thigh_mass: float = num(0.20, "kg", "mass of the thigh", 0.001, 100.0)
+    shank_mass: float = num(0.08, "kg", "mass of the shank without the foot", 0.001, 100.0)
+    foot_mass: float = num(0.02, "kg", "mass of the foot", 0.001, 100.0)
+    knee_max: float = num(1.5, "rad", "largest bend of the knee; the least is 0", 0.1, 3.0)
+    hip_torque: float = num(12.0, "N m", "largest torque of the hip motor", 0.0, 1000.0)
+    knee_torque: float = num(16.0, "N m", "largest torque of the knee motor", 0.0, 1000.0)
+    hip_speed_max: float = num(10.0, "rad/s", "largest speed the hip asks for", 0.1, 100.0)
+    knee_speeds: tuple[float, ...] = num(
+        (-28.0, -7.2, -4.8, -2.8, -1.2, 0.0, 3.0, 8.0, 28.0),
+        "rad/s",
+        "the knee speeds to choose from; straightening is negative; zero must be among them",
+        -200.0,
+        200.0,
+    )
+    hair_length: float = num(0.04, "m", "the hair touches below this clearance", 0.0, 1.0)
+    operating_height: float = num(0.45, "m", "hip over ground to be kept: 90 %", 0.01, 10.0)
+    load: float = num(2.5, "kg", "mass a leg is meant to carry; forces are seen in its weight", 0.01)
+
+
+@dataclass(frozen=True)
+class Physics:
+    """The simulator and the ground."""
+
+    substeps: int = num(4, "1", "physics steps a tick", 1, 1000)
+    iterations: int = num(20, "1", "iterations of the contact solver", 1, 1000)
+    gravity: float = num(9.81, "m/s^2", "downward", 0.0, 100.0)
+    friction: float = num(1.0, "1", "friction between foot and ground", 0.0, 10.0)
+    contact_stiffness: float = num(3000.0, "N/m", "of foot on ground", 1.0)
+    contact_damping: float = num(100.0, "N s/m", "of foot on ground", 0.0)
+
+
+@dataclass(frozen=True)
+class Trainer:
+    """The cantilever trainer (paper, section III)."""
+
+    bar_length: float = num(3.0, "m", "vertical axle to the leg's attachment", 0.1, 100.0)
+    inner_mass: float = num(0.3, "kg", "inner half of the bar", 0.001, 100.0)
+    tip_mass: float = num(2.5, "kg", "what the leg carries, at the bar's tip", 0.001, 1000.0)
+    axle_friction: float = num(0.6, "N m", "dry friction of the axle", 0.0, 1000.0)
+    axle_damping: float = num(2.5, "N m s/rad", "viscous friction of the axle", 0.0, 1000.0)
+    stop_height: float = num(0.40, "m", "the stop holds the attachment at or over this", 0.0, 10.0)
+    modulation: float = num(0.0, "m", "standard deviation of the stop's height; 0: fixed", 0.0, 1.0)
+    stop_low: float = num(0.37, "m", "least height of a modulated stop", 0.0, 10.0)
+    stop_high: float = num(0.50, "m", "largest height of a modulated stop", 0.0, 10.0)
+    stop_slew: float = num(0.003, "m/tick", "fastest change of the stop's height", 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Walker:
+    """The body with four legs (paper, section IV)."""
+
+    mass: float = num(5.0, "kg", "body: twice what one leg carries on the trainer", 0.01, 1000.0)
+    length: float = num(1.2, "m", "of the cylinder; legs at its extremes", 0.1, 10.0)
+    radius: float = num(0.20, "m", "of the cylinder", 0.01, 2.0)
+    hip_half_width: float = num(0.22, "m", "hip axis to the middle plane", 0.0, 5.0)
+    hip_forward: float = num(0.07, "m", "hips forward of the body's ends", -1.0, 1.0)
+    twist_amplitude: float = num(0.05, "rad", "front half against rear half", 0.0, 1.0)
+    twist_phase: float = num(0.875, "cycle", "phase of the largest twist", 0.0, 1.0)
+    twist_torque: float = num(60.0, "N m", "largest torque of the twist motor", 0.0, 1000.0)
+    fall_angle: float = num(0.6, "rad", "roll or pitch beyond this is a fall", 0.01, 3.2)
+    fall_height: float = num(0.36, "m", "hips under this for a cycle are a fall", 0.0, 10.0)
+
+
+@dataclass(frozen=True)
+class State:
+    """The partition of what a leg senses (paper, section VI-B): 17 x 8 x 8 x 2 x 2 states."""
+
+    hip_low: float = num(-0.50, "rad", "lower end of the hip's range", -3.2, 3.2)
+    hip_high: float = num(0.75, "rad", "upper end of the hip's range", -3.2, 3.2)
+    hip_bins: int = num(17, "1", "equal partitions of the hip's range", 1, 1000)
+    force_edges: tuple[float, ...] = num(
+        (0.02, 0.25, 0.5, 0.8, 1.1, 1.6, 2.4), "load weight", "edges between force bins", 0.0
+    )
+    inclination_edges: tuple[float, ...] = num(
+        (-0.90, -0.75, -0.65, -0.55, -0.45, -0.25, 0.05),
+        "rad",
+        "edges between bins of the shank's inclination",
+        -3.2,
+        3.2,
+    )
+
+
+@dataclass(frozen=True)
+class Reward:
+    """Weights and scales of the named reward terms (paper, section VI-A)."""
+
+    slip: float = num(1.0, "1", "weight of the slip term")
+    slip_scale: float = num(0.006, "m", "slip in a tick that earns nothing", 1e-6, 1.0)
+    height: float = num(1.0, "1", "weight of the height term")
+    height_scale: float = num(0.025, "m", "height error that earns nothing", 1e-6, 1.0)
+    term_low: float = num(-0.5, "1", "slip and height terms never fall below this")
+    lost_contact: float = num(-0.5, "1", "no contact during stance")
+    swing_free: float = num(0.3, "1", "no contact during swing")
+    swing_strike: float = num(-1.0, "1", "contact during swing")
+    force: float = num(-0.5, "1/load weight", "per load weight of peak force over the limit")
+    force_limit: float = num(1.6, "load weight", "peak force that is free", 0.0)
+    force_most: float = num(4.0, "load weight", "peak force over the limit counts up to this", 0.0)
+
+
+@dataclass(frozen=True)
+class Learning:
+    """One-step Q-learning, epsilon-greedy (paper, section VI-C). One set a stage."""
+
+    gamma: float = num(0.8, "1", "discount a tick", 0.0, 1.0)
+    alpha_floor: float = num(0.1, "1", "learning rate is the larger of this and 1/visits", 0.0, 1.0)
+    epsilon_start: float = num(0.20, "1", "share of random actions at first", 0.0, 1.0)
+    epsilon_end: float = num(0.01, "1", "share of random actions in the end", 0.0, 1.0)
+    epsilon_cycles: int = num(3000, "cycle", "from the first to the last", 1, 10**9)
+    sync_every: int = num(32, "tick", "ticks between syncs with the shared table; 0: never", 0, 10**6)
+
+
+def _walking() -> Learning:
+    return Learning(alpha_floor=0.03, epsilon_start=0.005, epsilon_end=0.005)
+
+
+@dataclass(frozen=True)
+class Params:
+    """All groups together."""
+
+    gait: Gait = field(default_factory=Gait)
+    leg: Leg = field(default_factory=Leg)
+    physics: Physics = field(default_factory=Physics)
+    trainer: Trainer = field(default_factory=Trainer)
+    walker: Walker = field(default_factory=Walker)
+    state: State = field(default_factory=State)
+    reward: Reward = field(default_factory=Reward)
+    train: Learning = field(default_factory=Learning)
+    walk: Learning = field(default_factory=_walking)
+
+    def __post_init__(self) -> None:
+        for name, value in flat(self):
+            check(name, value)
+        _check_together(self)
+
+
+class Spec(NamedTuple):
+    """What is known of one parameter."""
+
+    default: Value
+    unit: str
+    doc: str
+    low: float
+    high: float
+
+
+def flat(params: Params) -> Iterator[tuple[str, Value]]:
+    """Yield ``("group.field", value)`` of all parameters, in the order of their definition."""
+    for group in dataclasses.fields(params):
+        part = getattr(params, group.name)
+        for each in dataclasses.fields(part):
+            yield f"{group.name}.{each.name}", getattr(part, each.name)
+
+
+def _specs() -> dict[str, Spec]:
+    table: dict[str, Spec] = {}
+    for group in dataclasses.fields(Params):
+        assert callable(group.default_factory)
+        part = group.default_factory()
+        for each in dataclasses.fields(part):
+            meta = each.metadata
+            table[f"{group.name}.{each.name}"] = Spec(
+                getattr(part, each.name), meta["unit"], meta["doc"], meta["low"], meta["high"]
+            )
+    return table
+
+
+SPECS: Mapping[str, Spec] = _specs()
+"""Every parameter by its full name."""
+
+
+def spec_of(name: str) -> Spec:
+    """Return what is known of a parameter.
+
+    Raises:
+        ParameterError: there is none of that name.
+    """
+    try:
+        return SPECS[name]
+    except KeyError:
+        import difflib
+
+        near = difflib.get_close_matches(name, SPECS, n=3)
+        hint = f"did you mean {', '.join(near)}?" if near else "`ember params` lists them all"
+        raise ParameterError(f"there is no parameter {name!r}; {hint}") from None
+
+
+def check(name: str, value: Any) -> Value:
+    """Return ``value`` in the parameter's own type.
+
+    Raises:
+        ParameterError: unknown name, wrong type, not finite, or out of range.
+    """
+    spec = spec_of(name)
+
+    def number(item: Any, whole: bool) -> float | int:
+        if isinstance(item, bool) or not isinstance(item, (int, float)):
+            raise ParameterError(f"{name} must be a number [{spec.unit}], not {item!r}")
+        if whole and item != int(item):
+            raise ParameterError(f"{name} must be a whole number [{spec.unit}], not {item!r}")
+        if not spec.low <= item <= spec.high:  # also refuses NaN
+            raise ParameterError(
+                f"{name} = {item!r} is out of range: {spec.low} to {spec.high} [{spec.unit}]"
+            )
+        return int(item) if whole else float(item)
+
+    if isinstance(spec.default, tuple):
+        if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
+            raise ParameterError(f"{name} must be a list of numbers [{spec.unit}], not {value!r}")
+        items = tuple(float(number(item, False)) for item in value)
+        if not items:
+            raise ParameterError(f"{name} must not be empty")
+        return items
+    return number(value, isinstance(spec.default, int))
+
+
+def _check_together(p: Params) -> None:
+    gait = p.gait
+    if gait.ticks & (gait.ticks - 1):
+        raise ParameterError(
+            f"gait.ticks = {gait.ticks} must be a power of two: phases k / ticks are exact then"
+        )
+    if abs(gait.period * 1e9 / gait.ticks - gait.tick_ns) > 1e-3:
+        raise ParameterError(
+            f"gait.period = {gait.period} s does not divide into {gait.ticks} ticks of whole "
+            "nanoseconds; stamps would drift (0.5 s or 0.48 s would be right)"
+        )
+    if gait.hip_front <= gait.hip_rear:
+        raise ParameterError(
+            f"gait.hip_front = {gait.hip_front} must be greater than hip_rear = {gait.hip_rear}"
+        )
+    stance = gait.stance_share * gait.ticks
+    if stance != int(stance) or not 0 < stance < gait.ticks:
+        raise ParameterError(
+            f"gait.stance_share = {gait.stance_share} must be a whole number of the "
+            f"{gait.ticks} ticks, leaving some for swing"
+        )
+    if 0.0 not in p.leg.knee_speeds or list(p.leg.knee_speeds) != sorted(set(p.leg.knee_speeds)):
+        raise ParameterError(
+            f"leg.knee_speeds = {p.leg.knee_speeds} must rise strictly and have 0.0 among them"
+        )
+    if p.state.hip_low >= p.state.hip_high:
+        raise ParameterError(
+            f"state.hip_low = {p.state.hip_low} must be less than hip_high = {p.state.hip_high}"
+        )
+    for name in ("force_edges", "inclination_edges"):
+        edges = getattr(p.state, name)
+        if list(edges) != sorted(set(edges)):
+            raise ParameterError(f"state.{name} = {edges} must rise strictly")
+    if p.leg.operating_height >= p.leg.thigh_length + p.leg.shank_length:
+        raise ParameterError(
+            f"leg.operating_height = {p.leg.operating_height} m is out of the leg's reach of "
+            f"{p.leg.thigh_length + p.leg.shank_length} m"
+        )
+    if p.leg.foot_radius >= p.leg.shank_length:
+        raise ParameterError(
+            f"leg.foot_radius = {p.leg.foot_radius} m must be less than leg.shank_length"
+        )
+    if not p.trainer.stop_low <= p.trainer.stop_high:
+        raise ParameterError("trainer.stop_low must not be greater than trainer.stop_high")
+
+
+def replace(params: Params, changes: Mapping[str, Any]) -> Params:
+    """Return ``params`` with some full names changed.
+
+    Raises:
+        ParameterError: an unknown name, or a value of the wrong type or out of range.
+    """
+    groups: dict[str, dict[str, Value]] = {}
+    for name, value in changes.items():
+        checked = check(name, value)
+        group, each = name.split(".")
+        groups.setdefault(group, {})[each] = checked
+    return dataclasses.replace(
+        params,
+        **{
+            group: dataclasses.replace(getattr(params, group), **fields)
+            for group, fields in groups.items()
+        },
+    )
+
+
+def as_dict(params: Params) -> dict[str, dict[str, Any]]:
+    """Return nested dictionaries of plain numbers and lists, ready for JSON or YAML."""
+    out: dict[str, dict[str, Any]] = {}
+    for name, value in flat(params):
+        group, each = name.split(".")
+        out.setdefault(group, {})[each] = list(value) if isinstance(value, tuple) else value
+    return out
+
+
+def _digest(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def params_sha256(params: Params) -> str:
+    """Return the SHA-256 of all parameters: equal exactly when every number is equal."""
+    return _digest(as_dict(params))
+
+
+def cells_sha256(params: Params) -> str:
+    """Return the SHA-256 of what gives a table's rows and columns their meaning.
+
+    The partition of the state, the knee speeds and the stance share: tables can be exchanged
+    between runs that agree in these.
+    """
+    every = as_dict(params)
+    return _digest([every["state"], every["leg"]["knee_speeds"], every["gait"]["stance_share"]])

@@ -1,0 +1,102 @@
+"""What passes between the rooms of the house, as plain values: no ROS, no arrays, SI units.
+
+All are named tuples of Python floats (IEEE double), ints and bools: immutable, cheap to make
+thousands of times a second, and packed into bytes in one call where a run is hashed.
+
+Frames. A leg moves in one plane. Angles in that plane are measured from the downward vertical,
+positive towards the front: ``hip`` and ``knee`` relative to their parent link, ``inclination``
+of the shank relative to gravity. The knee bends backward only, so ``knee`` is positive and the
+shank's angle relative to the body is ``hip - knee``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+LEGS = ("front_left", "front_right", "rear_left", "rear_right")
+"""The walker's legs. Their order is the order of everything that is done leg by leg."""
+
+TRAINER_LEG = "leg"
+"""The one leg of the trainer."""
+
+Phase = float
+"""Cycles of the central pattern generator since the start, unwrapped: ``tick / ticks_per_cycle``.
+
+The number of ticks a cycle is a power of two, so the value is exact and names its tick.
+"""
+
+
+class LegSense(NamedTuple):
+    """What is mounted on one leg and reads there, at the start of tick ``tick``.
+
+    Force, slip and contact speak of the tick that just ended (paper, section VI-B).
+    """
+
+    tick: int
+    """Ticks since the start of the run."""
+    hip: float
+    """Hip angle relative to the body, rad."""
+    knee: float
+    """Knee angle relative to the thigh, rad, 0 when the leg is straight."""
+    hip_speed: float
+    """rad/s"""
+    knee_speed: float
+    """rad/s"""
+    force_mean: float
+    """Vertical force between ground and foot, mean over the tick, N."""
+    force_peak: float
+    """The same, largest value within the tick, N."""
+    inclination: float
+    """Angle of the shank from the vertical in the leg's plane, rad, foot ahead of knee positive."""
+    slip: float
+    """Distance the foot slid on the ground in the tick, corrected for its rolling, m, never < 0."""
+    hair: bool
+    """The hair in front of the foot touches the ground."""
+    contact: bool
+    """The foot touched the ground at the end of the tick."""
+    restart: bool
+    """The leg was picked up and put down just now: what went before is none of its doing."""
+
+
+class LegCommand(NamedTuple):
+    """What one leg asks of its two motors during tick ``tick`` (paper, section II)."""
+
+    tick: int
+    hip_speed: float
+    """rad/s"""
+    knee_speed: float
+    """rad/s"""
+    hip_torque: float
+    """Largest torque the motor may use to reach its speed, N m."""
+    knee_torque: float
+    """N m"""
+
+
+class Pair(NamedTuple):
+    """One Q-learning update, kept so that it can be applied elsewhere in the same order."""
+
+    tick: int
+    """The tick at which the reward was known."""
+    index: int
+    """Row-major index of the cell (state, action)."""
+    target: float
+    """The temporal-difference target: reward + gamma * max Q(next state)."""
+
+
+class BodyState(NamedTuple):
+    """The world's truth about what the legs carry: for reports and viewers, never for a leg."""
+
+    x: float
+    """m; on the trainer the distance walked along the circle."""
+    y: float
+    """m; on the trainer 0."""
+    height: float
+    """Height of the hips over the ground, m."""
+    roll: float
+    """rad"""
+    pitch: float
+    """rad, nose down positive (REP 103)."""
+    yaw: float
+    """rad"""
+    falls: int
+    """Falls so far."""

@@ -1,0 +1,127 @@
+"""One leg module: one tick of sensing, reward, learning and acting (paper, sections V, VI). Pure.
+
+Reading this file shows what a leg can know: its own senses, the phase, and its copy of the table.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ember_ros.errors import ParameterError
+from ember_ros.params import Learning, Params, cells_sha256
+from ember_ros.randomness import generator
+from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense, Pair, Phase
+from leg_node.gait import LegGait
+from leg_node.policy import POLICIES, EpsilonGreedy, Policy, Random, Scripted, Situation
+from leg_node.reading import PlainReading
+from leg_node.reward import Rewarder
+from leg_node.shared import LocalCopy
+from leg_node.state import Partition
+from leg_node.table import Table, empty_table
+
+
+class _Pending(NamedTuple):
+    """What was done in a tick whose end is not yet sensed."""
+
+    tick: int
+    state: int
+    action: int
+    stance: bool
+
+
+class LegModule:
+    """A leg that senses, acts, is rewarded and learns."""
+
+    def __init__(
+        self,
+        params: Params,
+        leg: str,
+        *,
+        stage: str = "walk",
+        seed: int = 0,
+        policy: str = "learned",
+        learning: bool = True,
+        table: Table | None = None,
+        run: str = "run",
+    ) -> None:
+        """Make a leg.
+
+        Args:
+            params: every number.
+            leg: one of ``LEGS``, or ``TRAINER_LEG``.
+            stage: which learning numbers hold, ``train`` or ``walk``.
+            seed: of the run; each leg draws from its own generator.
+            policy: ``learned``, ``scripted`` or ``random``.
+            learning: whether the table changes.
+            table: what was learnt before, owned by this leg from now on; empty for None.
+            run: names this life of the leg for the shared table.
+
+        Raises:
+            ParameterError: no such leg, stage or policy.
+        """
+        if leg not in (*LEGS, TRAINER_LEG):
+            raise ParameterError(f"there is no leg {leg!r}; it is one of {', '.join(LEGS)} on the "
+                                 f"walker, {TRAINER_LEG} on the trainer")
+        if stage not in ("train", "walk"):
+            raise ParameterError(f"there is no stage {stage!r}; it is train or walk")
+        if policy not in POLICIES:
+            raise ParameterError(f"there is no policy {policy!r}; it is {', '.join(POLICIES)}")
+        self.leg = leg
+        self.position = LEGS.index(leg) if leg in LEGS else 0
+        self.learning = learning
+        self._params = params
+        numbers: Learning = params.train if stage == "train" else params.walk
+        self._gamma = numbers.gamma
+        self._gait = LegGait(params.gait, leg)
+        self._partition = Partition(params)
+        self._rewarder = Rewarder(params)
+        self.copy = LocalCopy(
+            table if table is not None else empty_table(params),
+            leg=self.position,
+            run=run,
+            cells=cells_sha256(params),
+            floor=numbers.alpha_floor,
+            sync_every=numbers.sync_every if learning or policy == "learned" else 0,
+        )
+        self._reading = PlainReading(self.copy.table)
+        self._policy = self._make_policy(policy, numbers, seed)
+        self._actions = len(params.leg.knee_speeds)
+        self._tick_s = params.gait.tick_s
+        self._pending: _Pending | None = None
+
+    def _make_policy(self, name: str, numbers: Learning, seed: int) -> Policy:
+        rng = generator(seed, self.position)
+        actions = len(self._params.leg.knee_speeds)
+        if name == "scripted":
+            return Scripted(self._params, self._gait)
+        if name == "random":
+            return Random(actions, rng)
+        return EpsilonGreedy(self._reading, numbers, actions, self._params.gait.ticks, rng)
+
+    def tick(self, sense: LegSense, phase: Phase) -> LegCommand:
+        """Take the senses and the phase of one tick, learn from the tick before, and act."""
+        stance = self._gait.stance(phase)
+        state = self._partition.index(sense, stance)
+        if self.learning and not sense.restart:
+            self._learn(sense, state)
+        action = self._policy.choose(Situation(sense, phase, state))
+        self._pending = _Pending(sense.tick, state, action, stance)
+        return self._command(sense, phase, action)
+
+    def _learn(self, sense: LegSense, state: int) -> None:
+        """Credit the tick that just ended: one step of Q-learning [Watkins 1989]."""
+        did = self._pending
+        if did is None or did.tick + 1 != sense.tick:
+            return  # the first tick, or ticks were missed: nothing can be credited
+        reward = self._rewarder(sense, did.stance)
+        target = reward + self._gamma * max(self._reading.row(sense.tick, state))
+        self.copy.learn(Pair(sense.tick, did.state * self._actions + did.action, target))
+
+    def _command(self, sense: LegSense, phase: Phase, action: int) -> LegCommand:
+        """Drive the hip to the ramp's end of this tick and the knee at the chosen speed."""
+        leg = self._params.leg
+        speed = (self._gait.hip_goal(phase) - sense.hip) / self._tick_s
+        speed = max(-leg.hip_speed_max, min(leg.hip_speed_max, speed))
+        return LegCommand(
+            sense.tick, speed, leg.knee_speeds[action], leg.hip_torque, leg.knee_torque
+        )

@@ -1,0 +1,70 @@
+"""What a leg is rewarded for, from its own senses (paper, section VI-A). Pure.
+
+Each term is a function of its own; ``Rewarder`` weighs and adds them, one set for stance and
+another for swing, switched by the stance bit of the tick that is rewarded. To swap a reward,
+write a class with the same call.
+"""
+
+from __future__ import annotations
+
+from ember_ros import kinematics
+from ember_ros.params import Params, Reward
+from ember_ros.signals import LegSense
+
+
+def slip_term(reward: Reward, slip: float) -> float:
+    """Return 1 for a foot that rests, falling to ``term_low`` as it slides."""
+    return max(reward.term_low, 1.0 - slip / reward.slip_scale)
+
+
+def height_term(reward: Reward, error: float) -> float:
+    """Return 1 at the operating height, falling to ``term_low`` away from it."""
+    return max(reward.term_low, 1.0 - abs(error) / reward.height_scale)
+
+
+def force_term(reward: Reward, weights: float) -> float:
+    """Return how far the peak force, in load weights, is over the limit, bounded."""
+    return min(max(0.0, weights - reward.force_limit), reward.force_most)
+
+
+class Rewarder:
+    """The reward of one tick.
+
+    Stance, in contact: slip + height - excess force; without contact: lost contact + height.
+    Swing: free, or strike - excess force.
+    """
+
+    def __init__(self, params: Params) -> None:
+        """Take the weights from ``params.reward``."""
+        self._reward = params.reward
+        self._leg = params.leg
+        self._weight = params.leg.load * params.physics.gravity or 1.0
+
+    def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
+        """Return the weighted terms by name; the reward is their sum.
+
+        Args:
+            sense: at the end of the tick that is rewarded.
+            stance: whether that tick belonged to stance.
+        """
+        reward, leg = self._reward, self._leg
+        touched = sense.force_mean > 0.0
+        terms: dict[str, float] = {}
+        if stance:
+            error = kinematics.height(leg, sense.knee, sense.inclination) - leg.operating_height
+            terms["height"] = reward.height * height_term(reward, error)
+            if touched:
+                terms["slip"] = reward.slip * slip_term(reward, sense.slip)
+            else:
+                terms["lost_contact"] = reward.lost_contact
+        elif touched:
+            terms["swing_strike"] = reward.swing_strike
+        else:
+            terms["swing_free"] = reward.swing_free
+        if touched:
+            terms["force"] = reward.force * force_term(reward, sense.force_peak / self._weight)
+        return terms
+
+    def __call__(self, sense: LegSense, stance: bool) -> float:
+        """Return the reward of the tick that ended with ``sense``."""
+        return sum(self.terms(sense, stance).values())

@@ -1,0 +1,224 @@
+"""The table that all legs share, and a leg's own copy of it (paper, section VI-C). Pure.
+
+Time is cut into epochs of ``sync_every`` ticks; epoch ``e`` holds the ticks ``e * sync_every`` to
+``(e + 1) * sync_every - 1``. A leg learns on its copy at once and keeps the pairs (cell, target)
+of its updates. With the last tick of an epoch it pushes them, and sends that tick's command only
+when the push is acknowledged; with the first tick of the next epoch it pulls what changed. So when
+anybody pulls, everybody's pairs of all epochs before are in: the answer never waits for another
+leg, and does not depend on who came first. With ``sync_every = 1`` all legs read one table.
+
+The shared table applies an epoch's pairs in the order (tick, leg), one after the other, so that
+many legs that visit one cell move it as one leg that visits it often would. Summed differences
+would overshoot.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ember_ros.errors import PushError
+from ember_ros.signals import Pair
+from leg_node.table import Floats, Ints, Table
+
+MOST_PENDING = 64
+"""Epochs that may lie unmerged before a push merges the oldest: bounds the memory."""
+MOST_RUNS = 16
+"""Runs of one leg whose last epoch is remembered: bounds the memory."""
+NOTHING = -2
+"""The epoch of a copy that has seen nothing yet; a table as it was loaded is at -1."""
+
+
+class Push(NamedTuple):
+    """The pairs of one leg in one epoch; (leg, run, epoch) names it."""
+
+    leg: int
+    """Position of the leg in the order of legs."""
+    run: str
+    """Names one life of one leg module."""
+    epoch: int
+    cells: str
+    """SHA-256 of what gives cells their meaning (``params.cells_sha256``)."""
+    pairs: tuple[Pair, ...]
+
+
+class Changes(NamedTuple):
+    """What changed in the shared table between two epochs."""
+
+    epoch: int
+    """The last epoch that is merged in."""
+    index: Ints
+    """Cells that changed, ``(n,)``."""
+    values: Floats
+    """Their values, ``(n,)``."""
+    visits: Ints
+    """Their visits, ``(n,)``."""
+
+
+class SharedTable:
+    """The merged table and the pushes that wait to be merged."""
+
+    def __init__(self, table: Table, *, cells: str, floor: float) -> None:
+        """Start from ``table``, which is owned from now on.
+
+        Args:
+            table: what was learnt before.
+            cells: SHA-256 that each push must carry.
+            floor: least learning rate.
+        """
+        self.table = table
+        self.epoch = NOTHING + 1
+        self.learning = True
+        self._cells = cells
+        self._floor = floor
+        self._changed: Ints = np.full(len(table), self.epoch, dtype=np.int64)
+        self._pending: dict[int, list[Push]] = {}
+        self._done: dict[int, dict[str, int]] = {}
+
+    def push(self, push: Push) -> bool:
+        """Take the pairs of an epoch.
+
+        Returns:
+            False if this very push was taken before: nothing changed now.
+
+        Raises:
+            PushError: it is malformed; nothing of it is taken.
+        """
+        self._check(push)
+        runs = self._done.setdefault(push.leg, {})
+        if push.epoch <= runs.get(push.run, NOTHING):
+            return False
+        runs.pop(push.run, None)  # to the end of the order in which runs are forgotten
+        runs[push.run] = push.epoch
+        while len(runs) > MOST_RUNS:
+            runs.pop(next(iter(runs)))
+        if self.learning and push.pairs:
+            self._pending.setdefault(push.epoch, []).append(push)
+            if len(self._pending) > MOST_PENDING:
+                self.merge(min(self._pending))
+        return True
+
+    def pull(self, since: int, upto: int) -> Changes:
+        """Return what changed after epoch ``since`` in the table with epochs to ``upto`` merged."""
+        self.merge(upto)
+        index = np.flatnonzero(self._changed > since)
+        return Changes(self.epoch, index, self.table.values[index], self.table.visits[index])
+
+    def merge(self, upto: int | None = None) -> None:
+        """Merge all pending epochs up to and including ``upto``; all there are for None."""
+        for epoch in sorted(self._pending):
+            if upto is None or epoch <= upto:
+                self.epoch = max(self.epoch, epoch)
+                pushes = self._pending.pop(epoch)
+                pairs = [(pair.tick, push.leg, pair) for push in pushes for pair in push.pairs]
+                for _, _, pair in sorted(pairs):
+                    self.table.update(pair.index, pair.target, self._floor)
+                    self._changed[pair.index] = self.epoch
+        if upto is not None:
+            self.epoch = max(self.epoch, upto)
+
+    def _check(self, push: Push) -> None:
+        if push.cells != self._cells:
+            raise PushError(
+                f"push of leg {push.leg}, epoch {push.epoch}: learnt with other parameters "
+                f"(cells {push.cells[:12]}..., this table {self._cells[:12]}...); give the leg "
+                "and the table the same parameter file"
+            )
+        if push.leg < 0 or push.epoch < 0 or not push.run:
+            raise PushError(
+                f"push of leg {push.leg}, run {push.run!r}, epoch {push.epoch}: leg and epoch "
+                "must be 0 or more, and the run must have a name"
+            )
+        for pair in push.pairs:
+            if not 0 <= pair.index < len(self.table):
+                raise PushError(
+                    f"push of leg {push.leg}, epoch {push.epoch}: cell {pair.index} is not in "
+                    f"0 to {len(self.table) - 1}"
+                )
+            if pair.tick < 0 or pair.target - pair.target != 0.0:
+                raise PushError(
+                    f"push of leg {push.leg}, epoch {push.epoch}: the target of cell {pair.index} "
+                    f"at tick {pair.tick} is {pair.target}; a finite number and a tick of 0 or "
+                    "more would be right"
+                )
+
+
+class LocalCopy:
+    """One leg's copy of the shared table, always ahead of it by what the leg learnt itself."""
+
+    def __init__(
+        self, table: Table, *, leg: int, run: str, cells: str, floor: float, sync_every: int
+    ) -> None:
+        """Start from ``table``, which is owned from now on.
+
+        Args:
+            table: a first content, replaced by the first pull where there is one.
+            leg: position of the leg in the order of legs.
+            run: names this life of the leg.
+            cells: SHA-256 of what gives cells their meaning.
+            floor: least learning rate.
+            sync_every: ticks an epoch; 0 never syncs.
+        """
+        self.table = table
+        self.epoch = NOTHING
+        """The last epoch of the shared table that is in this copy."""
+        self.sync_every = sync_every
+        self._leg, self._run, self._cells, self._floor = leg, run, cells, floor
+        self._pairs: list[Pair] = []
+        self._unmerged: list[Push] = []
+        self._sent = 0  # how many of _unmerged are acknowledged, from the front
+        self._base: dict[int, tuple[float, int]] = {}  # touched cells as the shared table has them
+
+    def learn(self, pair: Pair) -> None:
+        """Apply an update at once and keep its pair for the next push."""
+        self._apply(pair)
+        if self.sync_every:
+            self._pairs.append(pair)
+
+    def _apply(self, pair: Pair) -> None:
+        if pair.index not in self._base and self.sync_every:
+            self._base[pair.index] = self.table.cell(pair.index)
+        self.table.update(pair.index, pair.target, self._floor)
+
+    def pull_due(self, tick: int) -> tuple[int, int] | None:
+        """Return ``(since, upto)`` to pull before the tick is acted on, or None."""
+        if not self.sync_every:
+            return None
+        upto = tick // self.sync_every - 1
+        return (self.epoch, upto) if upto > self.epoch else None
+
+    def take(self, changes: Changes) -> None:
+        """Take over what changed, and lay what of this leg is not yet in it back on top."""
+        for index, cell in self._base.items():
+            self.table.put(index, *cell)
+        self._base.clear()
+        self.table.values[changes.index] = changes.values
+        self.table.visits[changes.index] = changes.visits
+        self.epoch = changes.epoch
+        merged = sum(push.epoch <= changes.epoch for push in self._unmerged[: self._sent])
+        del self._unmerged[:merged]
+        self._sent -= merged
+        for push in self._unmerged:
+            for pair in push.pairs:
+                self._apply(pair)
+        for pair in self._pairs:
+            self._apply(pair)
+
+    def close_epoch(self, tick: int, *, early: bool = False) -> None:
+        """Make a push of the epoch's pairs if ``tick`` is its last one (or ``early``)."""
+        if self.sync_every and ((tick + 1) % self.sync_every == 0 or early):
+            self._unmerged.append(
+                Push(self._leg, self._run, tick // self.sync_every, self._cells, tuple(self._pairs))
+            )
+            self._pairs.clear()
+
+    def push_due(self) -> Push | None:
+        """Return the oldest push that was not acknowledged, or None."""
+        return self._unmerged[self._sent] if self._sent < len(self._unmerged) else None
+
+    def acknowledged(self, push: Push) -> None:
+        """Note that the shared table has a push for good."""
+        if self.push_due() is push:
+            self._sent += 1
+

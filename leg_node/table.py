@@ -1,0 +1,175 @@
+"""The Q-table: values and visit counts of every (state, action), and its file. Pure.
+
+One cell is updated by one rule, here, wherever the update happens: in a leg's own copy, in the
+shared table, in a replay.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import ember_ros
+from ember_ros.errors import TableError
+from ember_ros.params import Params, as_dict, cells_sha256, params_sha256
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Table:
+    """Values and visits of ``states x actions`` cells, addressed row-major by one index."""
+
+    def __init__(self, states: int, actions: int) -> None:
+        """Make an empty table: all values and visits 0."""
+        self.states, self.actions = states, actions
+        self.values: Floats = np.zeros(states * actions)
+        self.visits: Ints = np.zeros(states * actions, dtype=np.int64)
+        # Single cells are read and written through memoryviews: these give Python numbers, three
+        # times as fast as indexing the arrays, and share their memory.
+        self._value = self.values.data
+        self._visit = self.visits.data
+
+    def __len__(self) -> int:
+        """Return the number of cells."""
+        return self.states * self.actions
+
+    def row(self, state: int) -> list[float]:
+        """Return the values of a state's actions."""
+        start = state * self.actions
+        row: list[float] = self._value[start : start + self.actions].tolist()
+        return row
+
+    def cell(self, index: int) -> tuple[float, int]:
+        """Return the value and the visits of one cell."""
+        return self._value[index], self._visit[index]
+
+    def put(self, index: int, value: float, visits: int) -> None:
+        """Overwrite one cell."""
+        self._value[index] = value
+        self._visit[index] = visits
+
+    def update(self, index: int, target: float, floor: float) -> None:
+        """Move one cell towards ``target``: ``N += 1; Q += max(floor, 1 / N) * (target - Q)``."""
+        visits = self._visit[index] + 1
+        rate = 1.0 / visits
+        value = self._value[index]
+        self._visit[index] = visits
+        self._value[index] = value + (rate if rate > floor else floor) * (target - value)
+
+    def copy_from(self, other: Table) -> None:
+        """Take over all cells of a table of the same size."""
+        self.values[:] = other.values
+        self.visits[:] = other.visits
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the table's size, values and visits."""
+        digest = hashlib.sha256(f"{self.states}x{self.actions}".encode())
+        digest.update(self.values.astype("<f8").tobytes())
+        digest.update(self.visits.astype("<i8").tobytes())
+        return digest.hexdigest()
+
+
+def empty_table(params: Params) -> Table:
+    """Return an empty table of the size that the parameters ask for."""
+    state = params.state
+    states = state.hip_bins * (len(state.force_edges) + 1) * (len(state.inclination_edges) + 1) * 4
+    return Table(states, len(params.leg.knee_speeds))
+
+
+def save_table(
+    file: Path, table: Table, params: Params, seed: int, notes: Mapping[str, Any] | None = None
+) -> None:
+    """Write a table with its provenance, whole or not at all.
+
+    The file is an ``.npz`` of ``values`` and ``visits``, each ``(states, actions)``, and
+    ``about``, a JSON text: parameters and their SHA-256, seed, version, and ``notes``.
+
+    Raises:
+        TableError: the file cannot be written; what was there before is untouched.
+    """
+    about = {
+        **(notes or {}),
+        "format": 1,
+        "version": ember_ros.__version__,
+        "seed": seed,
+        "params": as_dict(params),
+        "params_sha256": params_sha256(params),
+        "cells_sha256": cells_sha256(params),
+        "table_sha256": table.sha256(),
+    }
+    shape = (table.states, table.actions)
+    handle = None
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        handle, draft = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.", suffix=".npz")
+        with os.fdopen(handle, "wb") as out:
+            np.savez_compressed(
+                out,
+                values=table.values.reshape(shape),
+                visits=table.visits.reshape(shape),
+                about=np.array(json.dumps(about, sort_keys=True)),
+            )
+            out.flush()
+            os.fsync(out.fileno())
+        os.chmod(draft, 0o644)
+        os.replace(draft, file)
+    except OSError as error:
+        if handle is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(draft)
+        raise TableError(f"cannot write the table {file}: {error.strerror or error}") from error
+
+
+def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
+    """Read a table and what is known about it.
+
+    Raises:
+        TableError: the file is missing, is no table, is damaged, or its cells mean something
+            else than ``params`` says.
+    """
+    try:
+        with np.load(file, allow_pickle=False) as content:
+            values, visits, text = content["values"], content["visits"], content["about"]
+        about: dict[str, Any] = json.loads(str(text))
+    except FileNotFoundError:
+        raise TableError(f"there is no table {file}; `ember train` makes one") from None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as e:
+        raise TableError(
+            f"{file} is not a whole ember_ros table (an .npz of values, visits, about): {e}"
+        ) from e
+    table = empty_table(params)
+    shape = (table.states, table.actions)
+    if values.shape != shape or visits.shape != shape:
+        raise TableError(
+            f"{file} has values {values.shape} and visits {visits.shape}; these parameters "
+            f"need {shape} (states, actions)"
+        )
+    if values.dtype != np.float64 or visits.dtype != np.int64:
+        raise TableError(
+            f"{file} holds {values.dtype} and {visits.dtype}; float64 values and int64 visits "
+            "would be right"
+        )
+    if not np.isfinite(values).all() or (visits < 0).any():
+        raise TableError(f"{file} holds values that are not finite or visits under 0")
+    if about.get("cells_sha256") != cells_sha256(params):
+        raise TableError(
+            f"{file} was learnt with another partition of the state, other knee speeds or another "
+            f"stance share (state.*, leg.knee_speeds, gait.stance_share); load it with the "
+            f"parameters it was learnt with"
+        )
+    table.values[:] = values.reshape(-1)
+    table.visits[:] = visits.reshape(-1)
+    if about.get("table_sha256") != table.sha256():
+        raise TableError(f"{file} is damaged: its content does not have the SHA-256 it names")
+    return table, about

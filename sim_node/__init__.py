@@ -1,0 +1,1 @@
+"""The world: physics, bodies and sensors. Only this room imports PyBullet."""

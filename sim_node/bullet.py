@@ -1,0 +1,322 @@
+"""Legs mounted on something in Bullet: their motors and their senses, for both worlds.
+
+Everything a leg senses is made here and nowhere else, the same way on the trainer and on the
+walker: that is what lets a leg be trained on the one and used on the other (paper, section I).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import sys
+import tempfile
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from ember_ros import kinematics
+from ember_ros.params import Params
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Send what C code prints to nowhere: importing pybullet announces its build time."""
+    sys.stdout.flush()
+    saved = os.dup(1)
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+
+
+with _quiet():
+    import pybullet as bullet
+
+
+class _Mount:
+    """One leg in Bullet: its indices there, and what its foot went through in this tick."""
+
+    __slots__ = ("at", "foot", "force", "hip", "inclination", "knee", "peak", "slide", "touched")
+
+    def __init__(self, hip: int, knee: int, foot: int) -> None:
+        self.hip, self.knee, self.foot = hip, knee, foot
+        self.at: tuple[float, float] | None = None
+        """Where the foot touched the ground in the last physics step, m; None in the air."""
+        self.inclination = 0.0
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin a tick."""
+        self.force = 0.0
+        self.peak = 0.0
+        self.slide = (0.0, 0.0)
+        self.touched = 0
+
+
+class BulletWorld(ABC):
+    """A physics server of its own, one robot on flat ground, legs that sense and are driven.
+
+    Rebuilding (``resetSimulation``, then loading anew) is the only way back to a known state:
+    restoring a saved one does not restore Bullet's contact caches, and runs part ways.
+    """
+
+    legs: tuple[str, ...]
+
+    def __init__(self, params: Params, *, gui: bool = False) -> None:
+        """Build the world at tick 0.
+
+        Args:
+            params: all physical numbers.
+            gui: show Bullet's window.
+        """
+        self.params = params
+        self._client = bullet.connect(bullet.GUI if gui else bullet.DIRECT)
+        if self._client < 0:
+            raise RuntimeError("Bullet refused a physics server (a window needs a display)")
+        self._gui = gui
+        self.reset()
+
+    # -- what each world adds --------------------------------------------------------------
+
+    @abstractmethod
+    def _urdf(self) -> str:
+        """Return the robot."""
+
+    @abstractmethod
+    def _place(self) -> tuple[float, float, float]:
+        """Return where the robot's root link starts, m."""
+
+    @abstractmethod
+    def _prepare(self) -> None:
+        """Finish the freshly loaded robot: joints that no leg owns, friction, the body's pose."""
+
+    @abstractmethod
+    def _drive(self, phase: Phase) -> None:
+        """Set the motors that no leg owns for the coming tick."""
+
+    @abstractmethod
+    def _sense_body(self) -> None:
+        """Read the body after a tick, and decide whether it fell."""
+
+    @abstractmethod
+    def body(self) -> BodyState:
+        """Return the truth about the body, for reports and viewers only."""
+
+    # -- the four verbs ----------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Build everything anew, as it was at tick 0."""
+        self._tick = 0
+        self._build()
+
+    def close(self) -> None:
+        """Let go of the physics server."""
+        if self._client >= 0:
+            bullet.disconnect(self._client)
+            self._client = -1
+
+    def observe(self) -> tuple[LegSense, ...]:
+        """Return what each leg senses at the present tick; calling twice gives the same."""
+        return self._senses
+
+    def step(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
+        """Advance by one tick; a leg with ``None`` holds both its joints still."""
+        self._set_motors(commands)
+        self._drive(phase)
+        for mount in self._mounts:
+            mount.clear()
+        self._body_touched = False
+        client, robot = self._client, self._robot
+        for _ in range(self.params.physics.substeps):
+            bullet.stepSimulation(client)
+            self._feel(bullet.getContactPoints(robot, physicsClientId=client))
+        self._tick += 1
+        self._senses = self._sense(restart=False)
+        self._sense_body()
+
+    # -- building ----------------------------------------------------------------------------
+
+    def _build(self) -> None:
+        """Load ground and robot anew and put the feet on the ground; the tick stays."""
+        client, physics, leg = self._client, self.params.physics, self.params.leg
+        bullet.resetSimulation(physicsClientId=client)
+        bullet.setGravity(0, 0, -physics.gravity, client)
+        bullet.setPhysicsEngineParameter(
+            fixedTimeStep=self.params.gait.tick_s / physics.substeps,
+            numSolverIterations=physics.iterations,
+            deterministicOverlappingPairs=1,
+            physicsClientId=client,
+        )
+        with tempfile.TemporaryDirectory(prefix="ember_ros_") as folder:
+            file = Path(folder) / "robot.urdf"
+            file.write_text(self._urdf(), encoding="utf-8")
+            self._robot = bullet.loadURDF(
+                str(file),
+                self._place(),
+                useFixedBase=self.fixed,
+                flags=bullet.URDF_USE_INERTIA_FROM_FILE,
+                physicsClientId=client,
+            )
+        plane = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
+        seen = bullet.createVisualShape(
+            bullet.GEOM_BOX,
+            halfExtents=(50, 50, 0.001),
+            rgbaColor=(0.93, 0.94, 0.92, 1),
+            physicsClientId=client,
+        )
+        ground = bullet.createMultiBody(0, plane, seen, physicsClientId=client)
+        bullet.changeDynamics(
+            ground, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client
+        )
+        self._joints: dict[str, int] = {}
+        links = {"": -1}
+        for joint in range(bullet.getNumJoints(self._robot, client)):
+            info = bullet.getJointInfo(self._robot, joint, client)
+            self._joints[info[1].decode()] = joint
+            links[info[12].decode()] = joint
+            # Bullet gives every joint a motor that brakes it: all off, then ours on.
+            bullet.setJointMotorControl2(
+                self._robot, joint, bullet.VELOCITY_CONTROL, force=0, physicsClientId=client
+            )
+        for link in links.values():
+            bullet.changeDynamics(
+                self._robot,
+                link,
+                lateralFriction=physics.friction,
+                restitution=0.0,
+                linearDamping=0.0,
+                angularDamping=0.0,
+                jointDamping=0.0,
+                contactStiffness=physics.contact_stiffness,
+                contactDamping=physics.contact_damping,
+                physicsClientId=client,
+            )
+        self._mounts = [
+            _Mount(self._joints[f"{n}_hip"], self._joints[f"{n}_knee"], links[f"{n}_foot"])
+            for n in self.legs
+        ]
+        self._by_link = {mount.foot: mount for mount in self._mounts}
+        self._body_links = frozenset({-1, links.get("rear", -1)})
+        self._motors = [j for mount in self._mounts for j in (mount.hip, mount.knee)]
+        self._feet = [mount.foot for mount in self._mounts]
+        # Stand with each foot under its hip, at the operating height.
+        hip = math.acos((leg.operating_height - leg.foot_radius) / (self._reach - leg.foot_radius))
+        knee = kinematics.knee_for_height(leg, hip, leg.operating_height)
+        for mount in self._mounts:
+            bullet.resetJointState(self._robot, mount.hip, hip, physicsClientId=client)
+            bullet.resetJointState(self._robot, mount.knee, knee, physicsClientId=client)
+        self._prepare()
+        self._body_touched = False
+        self._senses = self._sense(restart=self._tick > 0)
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the robot's root link is fixed to the ground."""
+        return False
+
+    @property
+    def _reach(self) -> float:
+        return self.params.leg.thigh_length + self.params.leg.shank_length
+
+    # -- motors ------------------------------------------------------------------------------
+
+    def _set_motors(self, commands: Sequence[LegCommand | None]) -> None:
+        leg = self.params.leg
+        speeds: list[float] = []
+        torques: list[float] = []
+        for command in commands:
+            if command is None:
+                speeds += (0.0, 0.0)
+                torques += (leg.hip_torque, leg.knee_torque)
+            else:
+                speeds += (command.hip_speed, command.knee_speed)
+                torques += (command.hip_torque, command.knee_torque)
+        bullet.setJointMotorControlArray(
+            self._robot,
+            self._motors,
+            bullet.VELOCITY_CONTROL,
+            targetVelocities=speeds,
+            forces=torques,
+            physicsClientId=self._client,
+        )
+
+    # -- senses ------------------------------------------------------------------------------
+
+    def _feel(self, contacts: Sequence[tuple]) -> None:  # type: ignore[type-arg]
+        """Take in the contacts of one physics step.
+
+        A foot is a sphere on flat ground: the point of contact moves as the foot's middle does,
+        so its way while in contact is how far the foot slid, but for rolling.
+        """
+        by_link = self._by_link
+        felt = set()
+        for contact in contacts:
+            mount = by_link.get(contact[3])
+            if mount is None:
+                if contact[3] in self._body_links:
+                    self._body_touched = True
+                continue
+            force = contact[9]
+            if force <= 0.0:
+                continue
+            felt.add(contact[3])
+            mount.force += force
+            if force > mount.peak:
+                mount.peak = force
+            x, y, _ = contact[5]
+            if mount.at is not None:
+                before, slide = mount.at, mount.slide
+                mount.slide = (slide[0] + x - before[0], slide[1] + y - before[1])
+            mount.at = (x, y)
+            mount.touched += 1
+        if len(felt) < len(self._mounts):
+            for link, mount in by_link.items():
+                if link not in felt:
+                    mount.at = None
+
+    def _sense(self, *, restart: bool) -> tuple[LegSense, ...]:
+        """Read all sensors."""
+        client, params, tick = self._client, self.params, self._tick
+        substeps, radius = params.physics.substeps, params.leg.foot_radius
+        joints = bullet.getJointStates(self._robot, self._motors, client)
+        feet = bullet.getLinkStates(
+            self._robot, self._feet, computeForwardKinematics=1, physicsClientId=client
+        )
+        senses = []
+        for n, mount in enumerate(self._mounts):
+            hip, knee, foot = joints[2 * n], joints[2 * n + 1], feet[n]
+            x, y, z, w = foot[5]
+            # Gravity in the shank's frame, as an accelerometer there reads it.
+            inclination = math.atan2(2.0 * (x * z - w * y), 1.0 - 2.0 * (x * x + y * y))
+            slip = 0.0
+            if mount.touched:
+                turned = inclination - mount.inclination
+                turned = math.remainder(turned, math.tau) * mount.touched / substeps
+                rolled = radius * turned
+                forward_x, forward_y = 1.0 - 2.0 * (x * x + z * z), 2.0 * (w * z - x * y)
+                slip = math.hypot(
+                    mount.slide[0] + rolled * forward_x, mount.slide[1] + rolled * forward_y
+                )
+            mount.inclination = inclination
+            senses.append(
+                LegSense(
+                    tick,
+                    hip[0],
+                    knee[0],
+                    hip[1],
+                    knee[1],
+                    mount.force / substeps,
+                    mount.peak,
+                    inclination,
+                    slip,
+                    foot[4][2] - radius < params.leg.hair_length,
+                    mount.at is not None,
+                    restart,
+                )
+            )
+        return tuple(senses)

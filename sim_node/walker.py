@@ -1,0 +1,97 @@
+"""The walker: a body in two halves, joined by a twist motor, on four legs (paper, section IV)."""
+
+from __future__ import annotations
+
+import math
+
+from ember_ros.params import Params
+from ember_ros.signals import LEGS, BodyState, Phase
+from sim_node import bodies
+from sim_node.bullet import BulletWorld, bullet
+
+
+class WalkerWorld(BulletWorld):
+    """Four legs on a body that can fall.
+
+    A fall is roll or pitch beyond ``walker.fall_angle``, the body on the ground, or hips under
+    ``walker.fall_height`` for a whole cycle. It is counted; the robot is put back on its feet
+    where the next tick finds it, and the senses of that tick are marked ``restart``.
+    """
+
+    legs = LEGS
+
+    def __init__(self, params: Params, *, gui: bool = False) -> None:
+        """Build the walker, standing."""
+        super().__init__(params, gui=gui)
+
+    def reset(self) -> None:
+        """Build everything anew, as it was at tick 0."""
+        self._falls = 0
+        self._start = (0.0, 0.0)
+        super().reset()
+
+    def body(self) -> BodyState:
+        """Return the pose of the body's middle, its halves averaged."""
+        return self._body
+
+    def _urdf(self) -> str:
+        return bodies.walker_urdf(self.params)
+
+    def _place(self) -> tuple[float, float, float]:
+        return (*self._start, self.params.leg.operating_height)
+
+    def _prepare(self) -> None:
+        self._low = 0
+        self._turn = 0.0
+        self._body = self._read_body()
+
+    def _drive(self, phase: Phase) -> None:
+        """Twist in synchrony with the phase, so that the swinging legs are raised.
+
+        At ``twist_phase`` the front half's left side is highest: the front left leg and the rear
+        right one, half a turn of the body away, are then in the middle of their swing.
+        """
+        walker, gait = self.params.walker, self.params.gait
+        after = phase + 1.0 / gait.ticks - walker.twist_phase
+        angle = -walker.twist_amplitude * math.cos(math.tau * after)
+        joint = self._joints["twist"]
+        bullet.setJointMotorControl2(
+            self._robot,
+            joint,
+            bullet.VELOCITY_CONTROL,
+            targetVelocity=(angle - self._turn) / gait.tick_s,
+            force=walker.twist_torque,
+            physicsClientId=self._client,
+        )
+
+    def _read_body(self) -> BodyState:
+        client = self._client
+        front, (x, y, z, w) = bullet.getBasePositionAndOrientation(self._robot, client)
+        rear = bullet.getLinkState(self._robot, self._joints["twist"], physicsClientId=client)[0]
+        self._turn = bullet.getJointState(self._robot, self._joints["twist"], client)[0]
+        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)) + self._turn / 2.0
+        pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return BodyState(
+            (front[0] + rear[0]) / 2.0,
+            (front[1] + rear[1]) / 2.0,
+            (front[2] + rear[2]) / 2.0,
+            roll,
+            pitch,
+            yaw,
+            self._falls,
+        )
+
+    def _sense_body(self) -> None:
+        walker = self.params.walker
+        body = self._body = self._read_body()
+        self._low = self._low + 1 if body.height < walker.fall_height else 0
+        if (
+            abs(body.roll) > walker.fall_angle
+            or abs(body.pitch) > walker.fall_angle
+            or self._body_touched
+            or self._low >= self.params.gait.ticks
+        ):
+            self._falls += 1
+            self._start = (body.x, body.y)
+            self._build()

@@ -1,0 +1,43 @@
+"""What a world is: four verbs. The trainer, the walker and the fake for tests keep to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+
+
+class World(Protocol):
+    """A place where legs are mounted.
+
+    ``legs`` names them in the order of all sequences here. Ticks count from 0 and go on over a
+    fall: a world that puts the robot back on its feet marks the next senses with ``restart``.
+    """
+
+    legs: tuple[str, ...]
+
+    def observe(self) -> tuple[LegSense, ...]:
+        """Return what each leg senses at the present tick; calling twice gives the same."""
+        ...
+
+    def step(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
+        """Advance by one tick with these commands; a leg with ``None`` holds its joints still.
+
+        Args:
+            phase: of the central pattern generator at the present tick.
+            commands: one a leg, in the order of ``legs``.
+        """
+        ...
+
+    def body(self) -> BodyState:
+        """Return the truth about the body, for reports and viewers only."""
+        ...
+
+    def reset(self) -> None:
+        """Build everything anew, as it was at tick 0."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what the world holds; safe to call twice."""
+        ...
