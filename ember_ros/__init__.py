@@ -8,4 +8,9 @@ The pure parts (``signals``, ``params``, ``errors``, ``kinematics`` here, and ev
 them to it.
 """
 
-__version__ = "0.1.0"
+from importlib.metadata import PackageNotFoundError, version
+
+try:
+    __version__ = version("ember_ros")
+except PackageNotFoundError:  # a bare checkout on the path
+    __version__ = "unknown"

@@ -79,7 +79,7 @@ class Leg:
     )
     hair_length: float = num(0.04, "m", "the hair touches below this clearance", 0.0, 1.0)
     operating_height: float = num(0.45, "m", "hip over ground to be kept: 90 %", 0.01, 10.0)
-    load: float = num(2.5, "kg", "mass a leg is meant to carry; forces are seen in its weight", 0.01)
+    load: float = num(24.525, "N", "weight a leg is meant to carry; forces are seen in it", 0.01)
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class Trainer:
     tip_mass: float = num(2.5, "kg", "what the leg carries, at the bar's tip", 0.001, 1000.0)
     axle_friction: float = num(0.6, "N m", "dry friction of the axle", 0.0, 1000.0)
     axle_damping: float = num(2.5, "N m s/rad", "viscous friction of the axle", 0.0, 1000.0)
-    stop_height: float = num(0.40, "m", "the stop holds the attachment at or over this", 0.0, 10.0)
+    stop_height: float = num(0.42, "m", "the stop holds the attachment at or over this", 0.0, 10.0)
     modulation: float = num(0.0, "m", "standard deviation of the stop's height; 0: fixed", 0.0, 1.0)
     stop_low: float = num(0.37, "m", "least height of a modulated stop", 0.0, 10.0)
     stop_high: float = num(0.50, "m", "largest height of a modulated stop", 0.0, 10.0)
@@ -134,7 +134,7 @@ class State:
     hip_high: float = num(0.75, "rad", "upper end of the hip's range", -3.2, 3.2)
     hip_bins: int = num(17, "1", "equal partitions of the hip's range", 1, 1000)
     force_edges: tuple[float, ...] = num(
-        (0.02, 0.25, 0.5, 0.8, 1.1, 1.6, 2.4), "load weight", "edges between force bins", 0.0
+        (0.02, 0.25, 0.5, 0.8, 1.1, 1.6, 2.4), "load", "edges between force bins", 0.0
     )
     inclination_edges: tuple[float, ...] = num(
         (-0.90, -0.75, -0.65, -0.55, -0.45, -0.25, 0.05),
@@ -157,9 +157,9 @@ class Reward:
     lost_contact: float = num(-0.5, "1", "no contact during stance")
     swing_free: float = num(0.3, "1", "no contact during swing")
     swing_strike: float = num(-1.0, "1", "contact during swing")
-    force: float = num(-0.5, "1/load weight", "per load weight of peak force over the limit")
-    force_limit: float = num(1.6, "load weight", "peak force that is free", 0.0)
-    force_most: float = num(4.0, "load weight", "peak force over the limit counts up to this", 0.0)
+    force: float = num(-0.5, "1/load", "per load of peak force over the limit")
+    force_limit: float = num(1.6, "load", "peak force that is free", 0.0)
+    force_most: float = num(4.0, "load", "peak force over the limit counts up to this", 0.0)
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ class Learning:
     epsilon_start: float = num(0.20, "1", "share of random actions at first", 0.0, 1.0)
     epsilon_end: float = num(0.01, "1", "share of random actions in the end", 0.0, 1.0)
     epsilon_cycles: int = num(3000, "cycle", "from the first to the last", 1, 10**9)
-    sync_every: int = num(32, "tick", "ticks between syncs with the shared table; 0: never", 0, 10**6)
+    sync_every: int = num(32, "tick", "ticks between syncs with the shared table", 1, 10**6)
 
 
 def _walking() -> Learning:
@@ -365,8 +365,10 @@ def params_sha256(params: Params) -> str:
 def cells_sha256(params: Params) -> str:
     """Return the SHA-256 of what gives a table's rows and columns their meaning.
 
-    The partition of the state, the knee speeds and the stance share: tables can be exchanged
-    between runs that agree in these.
+    The partition of the state, the load that forces are seen in, the knee speeds and the stance
+    share: tables can be exchanged between runs that agree in these.
     """
     every = as_dict(params)
-    return _digest([every["state"], every["leg"]["knee_speeds"], every["gait"]["stance_share"]])
+    leg = every["leg"]
+    meaning = [every["state"], leg["load"], leg["knee_speeds"], every["gait"]["stance_share"]]
+    return _digest(meaning)

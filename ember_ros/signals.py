@@ -77,7 +77,7 @@ class Pair(NamedTuple):
 
     tick: int
     """The tick at which the reward was known."""
-    index: int
+    cell: int
     """Row-major index of the cell (state, action)."""
     target: float
     """The temporal-difference target: reward + gamma * max Q(next state)."""

@@ -41,6 +41,7 @@ class LegModule:
         seed: int = 0,
         policy: str = "learned",
         learning: bool = True,
+        shared: bool = True,
         table: Table | None = None,
         run: str = "run",
     ) -> None:
@@ -53,6 +54,7 @@ class LegModule:
             seed: of the run; each leg draws from its own generator.
             policy: ``learned``, ``scripted`` or ``random``.
             learning: whether the table changes.
+            shared: whether the table is shared with other legs, or this leg's own.
             table: what was learnt before, owned by this leg from now on; empty for None.
             run: names this life of the leg for the shared table.
 
@@ -81,7 +83,7 @@ class LegModule:
             run=run,
             cells=cells_sha256(params),
             floor=numbers.alpha_floor,
-            sync_every=numbers.sync_every if learning or policy == "learned" else 0,
+            sync_every=numbers.sync_every if shared else 0,
         )
         self._reading = PlainReading(self.copy.table)
         self._policy = self._make_policy(policy, numbers, seed)
@@ -107,6 +109,11 @@ class LegModule:
         action = self._policy.choose(Situation(sense, phase, state))
         self._pending = _Pending(sense.tick, state, action, stance)
         return self._command(sense, phase, action)
+
+    def restart(self, last_tick: int, run: str) -> None:
+        """Begin a new life after ``last_tick``: time began anew, what was learnt stays."""
+        self._pending = None
+        self.copy.restart(last_tick, run)
 
     def _learn(self, sense: LegSense, state: int) -> None:
         """Credit the tick that just ended: one step of Q-learning [Watkins 1989]."""

@@ -22,9 +22,9 @@ def height_term(reward: Reward, error: float) -> float:
     return max(reward.term_low, 1.0 - abs(error) / reward.height_scale)
 
 
-def force_term(reward: Reward, weights: float) -> float:
-    """Return how far the peak force, in load weights, is over the limit, bounded."""
-    return min(max(0.0, weights - reward.force_limit), reward.force_most)
+def force_term(reward: Reward, loads: float) -> float:
+    """Return how far the peak force, in loads, is over the limit, bounded."""
+    return min(max(0.0, loads - reward.force_limit), reward.force_most)
 
 
 class Rewarder:
@@ -38,7 +38,6 @@ class Rewarder:
         """Take the weights from ``params.reward``."""
         self._reward = params.reward
         self._leg = params.leg
-        self._weight = params.leg.load * params.physics.gravity or 1.0
 
     def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
         """Return the weighted terms by name; the reward is their sum.
@@ -62,7 +61,7 @@ class Rewarder:
         else:
             terms["swing_free"] = reward.swing_free
         if touched:
-            terms["force"] = reward.force * force_term(reward, sense.force_peak / self._weight)
+            terms["force"] = reward.force * force_term(reward, sense.force_peak / leg.load)
         return terms
 
     def __call__(self, sense: LegSense, stance: bool) -> float:

@@ -26,8 +26,8 @@ MOST_PENDING = 64
 """Epochs that may lie unmerged before a push merges the oldest: bounds the memory."""
 MOST_RUNS = 16
 """Runs of one leg whose last epoch is remembered: bounds the memory."""
-NOTHING = -2
-"""The epoch of a copy that has seen nothing yet; a table as it was loaded is at -1."""
+NO_EPOCH = -2
+"""Before the first pull; the table as it is before epoch 0 is pulled as epoch -1."""
 
 
 class Push(NamedTuple):
@@ -38,17 +38,17 @@ class Push(NamedTuple):
     run: str
     """Names one life of one leg module."""
     epoch: int
-    cells: str
+    cells_sha256: str
     """SHA-256 of what gives cells their meaning (``params.cells_sha256``)."""
     pairs: tuple[Pair, ...]
 
 
 class Changes(NamedTuple):
-    """What changed in the shared table between two epochs."""
+    """What changed in the shared table since a version of it."""
 
-    epoch: int
-    """The last epoch that is merged in."""
-    index: Ints
+    version: int
+    """Of the table now; it grows with every merge that changes something."""
+    cells: Ints
     """Cells that changed, ``(n,)``."""
     values: Floats
     """Their values, ``(n,)``."""
@@ -68,11 +68,11 @@ class SharedTable:
             floor: least learning rate.
         """
         self.table = table
-        self.epoch = NOTHING + 1
+        self.version = 0
         self.learning = True
         self._cells = cells
         self._floor = floor
-        self._changed: Ints = np.full(len(table), self.epoch, dtype=np.int64)
+        self._changed: Ints = np.zeros(len(table), dtype=np.int64)  # version of the last change
         self._pending: dict[int, list[Push]] = {}
         self._done: dict[int, dict[str, int]] = {}
 
@@ -87,42 +87,52 @@ class SharedTable:
         """
         self._check(push)
         runs = self._done.setdefault(push.leg, {})
-        if push.epoch <= runs.get(push.run, NOTHING):
+        if push.epoch <= runs.get(push.run, -1):
             return False
         runs.pop(push.run, None)  # to the end of the order in which runs are forgotten
         runs[push.run] = push.epoch
         while len(runs) > MOST_RUNS:
             runs.pop(next(iter(runs)))
-        if self.learning and push.pairs:
+        if self.learning:
             self._pending.setdefault(push.epoch, []).append(push)
             if len(self._pending) > MOST_PENDING:
                 self.merge(min(self._pending))
         return True
 
-    def pull(self, since: int, upto: int) -> Changes:
-        """Return what changed after epoch ``since`` in the table with epochs to ``upto`` merged."""
-        self.merge(upto)
-        index = np.flatnonzero(self._changed > since)
-        return Changes(self.epoch, index, self.table.values[index], self.table.visits[index])
+    def pull(self, since: int | None = None, upto: int | None = None) -> Changes:
+        """Return what changed after a version in the table with all epochs to ``upto`` merged.
+
+        Args:
+            since: a version; everything is returned for None.
+            upto: an epoch; nothing is merged for None.
+        """
+        if upto is not None:
+            self.merge(upto)
+        if since is None:
+            return Changes(
+                self.version, np.arange(len(self.table)), self.table.values, self.table.visits
+            )
+        cells = np.flatnonzero(self._changed > since)
+        return Changes(self.version, cells, self.table.values[cells], self.table.visits[cells])
 
     def merge(self, upto: int | None = None) -> None:
         """Merge all pending epochs up to and including ``upto``; all there are for None."""
-        for epoch in sorted(self._pending):
-            if upto is None or epoch <= upto:
-                self.epoch = max(self.epoch, epoch)
-                pushes = self._pending.pop(epoch)
-                pairs = [(pair.tick, push.leg, pair) for push in pushes for pair in push.pairs]
-                for _, _, pair in sorted(pairs):
-                    self.table.update(pair.index, pair.target, self._floor)
-                    self._changed[pair.index] = self.epoch
-        if upto is not None:
-            self.epoch = max(self.epoch, upto)
+        due = sorted(epoch for epoch in self._pending if upto is None or epoch <= upto)
+        if not due:
+            return
+        self.version += 1
+        for epoch in due:
+            pushes = self._pending.pop(epoch)
+            pairs = [(pair.tick, push.leg, pair) for push in pushes for pair in push.pairs]
+            for _, _, pair in sorted(pairs):
+                self.table.update(pair.cell, pair.target, self._floor)
+                self._changed[pair.cell] = self.version
 
     def _check(self, push: Push) -> None:
-        if push.cells != self._cells:
+        if push.cells_sha256 != self._cells:
             raise PushError(
                 f"push of leg {push.leg}, epoch {push.epoch}: learnt with other parameters "
-                f"(cells {push.cells[:12]}..., this table {self._cells[:12]}...); give the leg "
+                f"(cells {push.cells_sha256[:12]}..., this table {self._cells[:12]}...); give the leg "
                 "and the table the same parameter file"
             )
         if push.leg < 0 or push.epoch < 0 or not push.run:
@@ -131,14 +141,14 @@ class SharedTable:
                 "must be 0 or more, and the run must have a name"
             )
         for pair in push.pairs:
-            if not 0 <= pair.index < len(self.table):
+            if not 0 <= pair.cell < len(self.table):
                 raise PushError(
-                    f"push of leg {push.leg}, epoch {push.epoch}: cell {pair.index} is not in "
+                    f"push of leg {push.leg}, epoch {push.epoch}: cell {pair.cell} is not in "
                     f"0 to {len(self.table) - 1}"
                 )
             if pair.tick < 0 or pair.target - pair.target != 0.0:
                 raise PushError(
-                    f"push of leg {push.leg}, epoch {push.epoch}: the target of cell {pair.index} "
+                    f"push of leg {push.leg}, epoch {push.epoch}: the target of cell {pair.cell} "
                     f"at tick {pair.tick} is {pair.target}; a finite number and a tick of 0 or "
                     "more would be right"
                 )
@@ -161,10 +171,11 @@ class LocalCopy:
             sync_every: ticks an epoch; 0 never syncs.
         """
         self.table = table
-        self.epoch = NOTHING
-        """The last epoch of the shared table that is in this copy."""
-        self.sync_every = sync_every
+        self.version: int | None = None
+        """Version of the shared table that is in this copy; None before the first pull."""
+        self._sync_every = sync_every
         self._leg, self._run, self._cells, self._floor = leg, run, cells, floor
+        self._epoch = NO_EPOCH
         self._pairs: list[Pair] = []
         self._unmerged: list[Push] = []
         self._sent = 0  # how many of _unmerged are acknowledged, from the front
@@ -172,45 +183,48 @@ class LocalCopy:
 
     def learn(self, pair: Pair) -> None:
         """Apply an update at once and keep its pair for the next push."""
-        self._apply(pair)
-        if self.sync_every:
+        if self._sync_every:
             self._pairs.append(pair)
+            self._lay(pair)
+        else:
+            self.table.update(pair.cell, pair.target, self._floor)
 
-    def _apply(self, pair: Pair) -> None:
-        if pair.index not in self._base and self.sync_every:
-            self._base[pair.index] = self.table.cell(pair.index)
-        self.table.update(pair.index, pair.target, self._floor)
+    def _lay(self, pair: Pair) -> None:
+        """Apply an update on top of the shared content, remembering what lies below."""
+        if pair.cell not in self._base:
+            self._base[pair.cell] = self.table.cell(pair.cell)
+        self.table.update(pair.cell, pair.target, self._floor)
 
-    def pull_due(self, tick: int) -> tuple[int, int] | None:
-        """Return ``(since, upto)`` to pull before the tick is acted on, or None."""
-        if not self.sync_every:
+    def pull_due(self, tick: int) -> int | None:
+        """Return the epoch up to which to pull before the tick is acted on, or None."""
+        if not self._sync_every:
             return None
-        upto = tick // self.sync_every - 1
-        return (self.epoch, upto) if upto > self.epoch else None
+        upto = tick // self._sync_every - 1
+        return upto if upto > self._epoch else None
 
-    def take(self, changes: Changes) -> None:
-        """Take over what changed, and lay what of this leg is not yet in it back on top."""
-        for index, cell in self._base.items():
-            self.table.put(index, *cell)
+    def take(self, changes: Changes, upto: int) -> None:
+        """Take over what changed up to an epoch, and lay what is not yet in it back on top."""
+        for cell, content in self._base.items():
+            self.table.put(cell, *content)
         self._base.clear()
-        self.table.values[changes.index] = changes.values
-        self.table.visits[changes.index] = changes.visits
-        self.epoch = changes.epoch
-        merged = sum(push.epoch <= changes.epoch for push in self._unmerged[: self._sent])
+        self.table.values[changes.cells] = changes.values
+        self.table.visits[changes.cells] = changes.visits
+        self.version, self._epoch = changes.version, upto
+        merged = sum(push.epoch <= upto for push in self._unmerged[: self._sent])
         del self._unmerged[:merged]
         self._sent -= merged
         for push in self._unmerged:
             for pair in push.pairs:
-                self._apply(pair)
+                self._lay(pair)
         for pair in self._pairs:
-            self._apply(pair)
+            self._lay(pair)
 
     def close_epoch(self, tick: int, *, early: bool = False) -> None:
         """Make a push of the epoch's pairs if ``tick`` is its last one (or ``early``)."""
-        if self.sync_every and ((tick + 1) % self.sync_every == 0 or early):
-            self._unmerged.append(
-                Push(self._leg, self._run, tick // self.sync_every, self._cells, tuple(self._pairs))
-            )
+        if self._pairs and (early or (tick + 1) % self._sync_every == 0):
+            epoch = tick // self._sync_every
+            push = Push(self._leg, self._run, epoch, self._cells, tuple(self._pairs))
+            self._unmerged.append(push)
             self._pairs.clear()
 
     def push_due(self) -> Push | None:
@@ -222,3 +236,7 @@ class LocalCopy:
         if self.push_due() is push:
             self._sent += 1
 
+    def restart(self, last_tick: int, run: str) -> None:
+        """Begin a new life: ticks, and so epochs, begin anew; nothing learnt is dropped."""
+        self.close_epoch(last_tick, early=True)
+        self._run, self._epoch = run, NO_EPOCH

@@ -18,13 +18,12 @@ class Partition:
     """
 
     def __init__(self, params: Params) -> None:
-        """Take the edges from ``params.state``; forces are seen in weights of ``leg.load``."""
+        """Take the edges from ``params.state``; forces are seen in units of ``leg.load``."""
         state = params.state
         self._bins = state.hip_bins
         self._low = state.hip_low
         self._per_rad = state.hip_bins / (state.hip_high - state.hip_low)
-        weight = params.leg.load * params.physics.gravity
-        self._force = [edge * weight for edge in state.force_edges]
+        self._force = [edge * params.leg.load for edge in state.force_edges]
         self._inclination = list(state.inclination_edges)
         self.shape = (state.hip_bins, len(self._force) + 1, len(self._inclination) + 1, 2, 2)
         """Bins of hip, force, inclination, swing and hair."""

@@ -12,6 +12,7 @@ import json
 import os
 import tempfile
 import zipfile
+from array import array
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,16 @@ from ember_ros.params import Params, as_dict, cells_sha256, params_sha256
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+def as_floats(numbers: array[float]) -> Floats:
+    """Return a view of doubles."""
+    return np.frombuffer(numbers, dtype=np.float64)
+
+
+def as_ints(numbers: array[int]) -> Ints:
+    """Return a view of 64-bit integers."""
+    return np.frombuffer(numbers, dtype=np.int64)
 
 
 class Table:
@@ -165,7 +176,7 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
     if about.get("cells_sha256") != cells_sha256(params):
         raise TableError(
             f"{file} was learnt with another partition of the state, other knee speeds or another "
-            f"stance share (state.*, leg.knee_speeds, gait.stance_share); load it with the "
+            f"stance share (state.*, leg.load, leg.knee_speeds, gait.stance_share); load it with the "
             f"parameters it was learnt with"
         )
     table.values[:] = values.reshape(-1)

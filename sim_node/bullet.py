@@ -235,7 +235,10 @@ class BulletWorld(ABC):
                 torques += (leg.hip_torque, leg.knee_torque)
             else:
                 speeds += (command.hip_speed, command.knee_speed)
-                torques += (command.hip_torque, command.knee_torque)
+                torques += (
+                    min(leg.hip_torque, command.hip_torque),  # a motor has no more than it has
+                    min(leg.knee_torque, command.knee_torque),
+                )
         bullet.setJointMotorControlArray(
             self._robot,
             self._motors,

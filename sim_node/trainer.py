@@ -31,7 +31,6 @@ class TrainerWorld(BulletWorld):
         """Build everything anew, as it was at tick 0."""
         self._rng = generator(self._seed, WORLD)
         self._stop = self._goal = self.params.trainer.stop_height
-        self._turned = 0.0
         super().reset()
 
     def body(self) -> BodyState:
@@ -39,7 +38,7 @@ class TrainerWorld(BulletWorld):
         half = self.params.trainer.bar_length / 2
         way = self._axle * self.params.trainer.bar_length
         height = self._hinge_height + half * math.sin(self._hinge)
-        return BodyState(way, 0.0, height, 0.0, 0.0, self._axle, 0)
+        return BodyState(way, 0.0, height, 0.0, 0.0, 0.0, 0)
 
     def _urdf(self) -> str:
         return bodies.trainer_urdf(self.params)

@@ -1,0 +1,257 @@
+"""The same tick as nodes: all in this process, or one process a node.
+
+Both give the table and the record of the run; both end what they started, whatever happens.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ember_ros.errors import GraphError
+from ember_ros.params import Params, as_dict
+from ember_ros.plan import Plan
+from ember_ros.spinning import TURN_S, prepare_environment
+
+Progress = Callable[[int, int], bool]
+"""Called now and then with cycles done and falls; returns whether to go on."""
+
+START_S = 30.0
+"""Wall time a graph may take to come up."""
+STOP_S = 5.0
+"""Wall time a process may take to stop before it is killed."""
+
+
+def node_options(plan: Plan) -> dict[str, dict[str, Any]]:
+    """Return the options of every node of a plan, by the node's name; ``leg_<leg>`` for legs."""
+    table = str(plan.table) if plan.table else ""
+    nodes: dict[str, dict[str, Any]] = {
+        "table_node": {"stage": plan.stage, "table": table, "seed": plan.seed},
+        "cpg_node": {},
+    }
+    for leg in plan.legs:
+        nodes[f"leg_{leg}"] = {
+            "leg": leg,
+            "stage": plan.stage,
+            "seed": plan.seed,
+            "policy": plan.policy,
+            "learning": plan.learning,
+        }
+    nodes["sim_node"] = {"world": plan.world, "cycles": plan.cycles, "seed": plan.seed}
+    return nodes
+
+
+class Graph:
+    """All nodes of a plan in this process, on one executor."""
+
+    def __init__(
+        self, plan: Plan, out: Path | None = None, *, namespace: str = "", context: Any = None
+    ) -> None:
+        """Make the nodes; nothing runs before ``run``.
+
+        Args:
+            plan: what to run.
+            out: folder for ``cycles.csv``.
+            namespace: of all nodes: another one is another robot.
+            context: an initialised rclpy context; one of its own for None.
+
+        Raises:
+            EmberError: a parameter or the table cannot be used.
+        """
+        prepare_environment()
+        import rclpy
+        from rclpy.experimental.events_executor import EventsExecutor
+        from rclpy.parameter import Parameter
+        from rclpy.signals import SignalHandlerOptions
+
+        from cpg_node.node import CpgNode
+        from leg_node.node import LegNode
+        from leg_node.table_node import TableNode
+        from sim_node.node import SimNode
+
+        self.nodes: dict[str, Any] = {}
+        self._own_context = context is None
+        if context is None:
+            context = rclpy.Context()
+            rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+        self._context = context
+        try:
+            self._executor = EventsExecutor(context=context)
+            for name, options in node_options(plan).items():
+                make = LegNode if name.startswith("leg_") else {
+                    "table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode
+                }[name]
+                if name == "sim_node" and out is not None:
+                    options["out"] = str(out)
+                given = {
+                    f"{group}.{field}": value
+                    for group, numbers in as_dict(plan.params).items()
+                    for field, value in numbers.items()
+                } | options
+                node = make(
+                    context=context,
+                    namespace=namespace,
+                    parameter_overrides=[Parameter(n, value=v) for n, v in given.items()],
+                    **({"node_name": name} if make is LegNode else {}),
+                )
+                self.nodes[name] = node
+                self._executor.add_node(node)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def sim(self) -> Any:
+        """Return the sim node."""
+        return self.nodes["sim_node"]
+
+    def spin_once(self, timeout: float = TURN_S) -> None:
+        """Let callbacks run; an exception in one of them is raised here."""
+        self._executor.spin_once(timeout_sec=timeout)
+
+    def run(self, go_on: Callable[[], bool] = lambda: True) -> None:
+        """Run until the plan's cycles are done or ``go_on`` says no, then finish every node."""
+        while not self.sim.done and go_on():
+            self.spin_once()
+        self.finish()
+
+    def finish(self) -> None:
+        """Bring what every leg has learnt into the shared table, and end the record."""
+        for name, node in self.nodes.items():
+            if name != "table_node":
+                node.finish(self.spin_once)
+        self.nodes["table_node"].finish(self.spin_once)
+
+    def close(self) -> None:
+        """Destroy all nodes."""
+        for node in self.nodes.values():
+            node.destroy_node()
+        self.nodes.clear()
+        if self._own_context:
+            self._context.try_shutdown()
+
+
+# -- one process a node ----------------------------------------------------------------------
+
+MODULES = {
+    "sim_node": "sim_node.node",
+    "cpg_node": "cpg_node.node",
+    "table_node": "leg_node.table_node",
+}
+LEG_MODULE = "leg_node.node"
+
+
+def write_params(file: Path, params: Params) -> None:
+    """Write all parameters as a ROS parameter file."""
+    content = {"/**": {"ros__parameters": as_dict(params)}}
+    file.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+
+
+class Processes:
+    """Each node of a plan in a process of its own, as seven ``ros2 run`` would start them."""
+
+    def __init__(self, plan: Plan, out: Path, *, namespace: str = "") -> None:
+        """Start the processes.
+
+        Args:
+            plan: what to run.
+            out: folder for the record, the table, the parameters, and a log a node in ``log``.
+            namespace: of all nodes.
+        """
+        prepare_environment()
+        self.out = out
+        self._logs = out / "log"
+        self._logs.mkdir(parents=True, exist_ok=True)
+        params = out / "params.yaml"
+        write_params(params, plan.params)
+        nodes = node_options(plan)
+        nodes["table_node"]["save"] = str(out / "table.npz")
+        nodes["sim_node"]["out"] = str(out)
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        try:
+            for name, options in nodes.items():
+                self._start(name, options, params, namespace)
+        except BaseException:
+            self.stop()
+            raise
+
+    def _start(self, name: str, options: dict[str, Any], params: Path, namespace: str) -> None:
+        command = [sys.executable, "-m", MODULES.get(name, LEG_MODULE), "--ros-args"]
+        command += ["--params-file", str(params), "-r", f"__node:={name}"]
+        if namespace:
+            command += ["-r", f"__ns:=/{namespace.strip('/')}"]
+        for option, value in options.items():
+            if value != "":
+                command += ["-p", f"{option}:={json.dumps(value)}"]
+        with (self._logs / f"{name}.txt").open("wb") as log:
+            # A session of its own: Ctrl-C is for us, and we tell them in the right order.
+            self.processes[name] = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            )
+
+    def wait(self, go_on: Callable[[], bool] = lambda: True) -> None:
+        """Wait until the sim node has run its cycles or ``go_on`` says no.
+
+        Raises:
+            GraphError: a node ended before its time.
+        """
+        while self.processes["sim_node"].poll() is None and go_on():
+            for name, process in self.processes.items():
+                if process.poll() is not None and name != "sim_node":
+                    self._died(name, process)
+            time.sleep(TURN_S / 2)  # processes cannot be waited for on several at once
+        code = self.processes["sim_node"].poll()
+        if code:
+            self._died("sim_node", self.processes["sim_node"])
+
+    def _died(self, name: str, process: subprocess.Popen[bytes]) -> None:
+        log = self._logs / f"{name}.txt"
+        last = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-3:]
+        raise GraphError(
+            f"{name} ended with code {process.returncode} before its time; its log {log} ends "
+            f"with: {' / '.join(last) or 'nothing'}"
+        )
+
+    def stop(self) -> None:
+        """Stop all in an order in which nothing learnt is lost: the table last."""
+        for name in sorted(self.processes, key=lambda n: (n == "table_node", n != "sim_node")):
+            process = self.processes[name]
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+            if name in ("sim_node", list(self.processes)[-1], "table_node"):
+                self._reap(name)
+        for name in self.processes:
+            self._reap(name)
+
+    def _reap(self, name: str) -> None:
+        process = self.processes[name]
+        try:
+            process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+@contextmanager
+def processes(plan: Plan, out: Path, *, namespace: str = "") -> Iterator[Processes]:
+    """Run a plan as processes for as long as the block lasts."""
+    running = Processes(plan, out, namespace=namespace)
+    try:
+        yield running
+    finally:
+        running.stop()

@@ -1,0 +1,82 @@
+"""Starts a world, a pattern generator, a table and one leg node a leg, each a process of its own.
+
+    ros2 launch ember_ros walk.launch.py table:=trained.npz cycles:=500 gui:=true
+
+The trainer is the same graph with another world and one leg, which train.launch.py starts. When
+the world ends (its cycles are over, or it fails), everything stops, and the table is saved.
+"""
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from ember_ros.signals import LEGS, TRAINER_LEG
+
+UNSET = "; empty: the node's own default, or what params_file says"
+
+ARGUMENTS = {
+    "world": ("walker", "walker: four legs carry a body; trainer: one leg learns alone"),
+    "namespace": ("", "namespace of every node and topic; another one makes a second robot"),
+    "params_file": ("", "file of ROS parameters for every node; the arguments here come first"),
+    "table": ("", "file with the table to start from" + UNSET),
+    "save": ("", "file to write the table to at exit" + UNSET),
+    "cycles": ("", "stop after so many cycles of the pattern generator" + UNSET),
+    "seed": ("", "seed of the world and the legs" + UNSET),
+    "gui": ("false", "show PyBullet's window"),
+}
+
+
+def start(context: LaunchContext) -> list[Node]:
+    """Return one node for each part of the graph, with the parameters given as arguments."""
+    argument = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    params_file = [argument["params_file"]] if argument["params_file"] else []
+
+    def given(**kinds: type) -> dict[str, ParameterValue]:
+        """Return the arguments of these names that are not empty, as parameters of these types."""
+        return {
+            name: ParameterValue(argument[name], value_type=kind)
+            for name, kind in kinds.items()
+            if argument[name]
+        }
+
+    def node(executable: str, name: str, parameters: dict[str, object], **others: object) -> Node:
+        """Return a node of this package; its parameters win over those of params_file."""
+        return Node(
+            package="ember_ros",
+            executable=executable,
+            name=name,
+            namespace=argument["namespace"],
+            parameters=[*params_file, parameters] if parameters else params_file,
+            output="screen",
+            **others,
+        )
+
+    return [
+        node(
+            "sim_node",
+            "sim_node",
+            given(world=str, cycles=int, seed=int, gui=bool),
+            on_exit=[Shutdown(reason="the world has ended")],
+        ),
+        node("cpg_node", "cpg_node", {}),
+        node("table_node", "table_node", given(table=str, save=str)),
+        *(
+            node("leg_node", f"leg_{leg}", {"leg": leg, **given(seed=int)})
+            for leg in (LEGS if argument["world"] == "walker" else (TRAINER_LEG,))
+        ),
+    ]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Declare the arguments; what they start is decided once their values are known."""
+    return LaunchDescription(
+        [
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=description)
+                for name, (default, description) in ARGUMENTS.items()
+            ),
+            OpaqueFunction(function=start),
+        ]
+    )

@@ -1,0 +1,223 @@
+"""The record of a run, made tick by tick beside it: a line a cycle, and hashes of every signal.
+
+The direct loop and the sim node feed it the same values in the same order, so that two ways of
+running the same thing can be compared by three hashes. It hears everything and is heard by no one.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+import statistics
+import struct
+from array import array
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, TextIO
+
+import numpy as np
+
+from ember_ros.params import Params
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from leg_node.gait import LegGait
+from leg_node.reward import Rewarder
+
+WINDOW = 200
+"""Cycles at the beginning and at the end that the summary speaks of."""
+
+_SENSE = struct.Struct("<q8d3?")
+_COMMAND = struct.Struct("<q4d")
+_NO_COMMAND = b"\0"
+
+
+class Row(NamedTuple):
+    """One line of ``cycles.csv``: a cycle of the CPG, seen by one leg or by the body."""
+
+    cycle: int
+    module: str
+    """A leg's name, or ``body``."""
+    peak_force_n: float
+    """Largest vertical force on a foot."""
+    reward: float
+    """Mean reward a tick."""
+    contact_share: float
+    """Share of stance ticks with the foot on the ground."""
+    slip_m: float
+    """Way the foot slid on the ground; for the body the mean over legs."""
+    distance_m: float | None
+    """Progress along the heading at the cycle's start; this and the rest for the body only."""
+    roll_sd_rad: float | None
+    pitch_sd_rad: float | None
+    tilt_max_rad: float | None
+    """Largest absolute roll or pitch."""
+    height_min_m: float | None
+    """Least height of the hips."""
+    falls: int | None
+    """Falls in this cycle."""
+
+
+class _Sums:
+    """One leg's sums over a cycle."""
+
+    __slots__ = ("contact", "peak", "reward", "slip", "stance")
+
+    def __init__(self) -> None:
+        self.peak = self.reward = self.slip = 0.0
+        self.contact = self.stance = 0
+
+
+class Recorder:
+    """Keeps a line a cycle and the hashes; give it every tick, then ``finish``."""
+
+    def __init__(self, params: Params, legs: Sequence[str], folder: Path | None = None) -> None:
+        """Begin a record.
+
+        Args:
+            params: for the reward and for the gait.
+            legs: their names, in order.
+            folder: where ``cycles.csv`` grows line by line; nowhere for None.
+        """
+        self.rows: list[Row] = []
+        self.traces = array("d")
+        """x, y (m), roll and pitch (rad) of the body at each tick, one after the other."""
+        self._legs = tuple(legs)
+        self._ticks = params.gait.ticks
+        self._gaits = [LegGait(params.gait, leg) for leg in legs]
+        self._rewarder = Rewarder(params)
+        self._senses_hash, self._commands_hash = hashlib.sha256(), hashlib.sha256()
+        self._sums = [_Sums() for _ in legs]
+        self._phase: Phase | None = None
+        self._poses: list[BodyState] = []  # at the start of each tick of this cycle
+        self._body = BodyState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+        self._stances: list[bool] = []
+        self._first_fall: int | None = None
+        self._absences = dict.fromkeys(legs, 0)
+        self._file: TextIO | None = None
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._file = (folder / "cycles.csv").open("w", newline="", encoding="utf-8")
+            self._csv = csv.writer(self._file)
+            self._csv.writerow(Row._fields)
+
+    def tick(
+        self,
+        phase: Phase,
+        senses: Sequence[LegSense],
+        commands: Sequence[LegCommand | None],
+        body: BodyState,
+    ) -> None:
+        """Take one complete tick: what was sensed at it, and what was commanded for it."""
+        self._end_tick(senses, body)
+        for sense, command in zip(senses, commands, strict=True):
+            self._senses_hash.update(_SENSE.pack(*sense))
+            self._commands_hash.update(_COMMAND.pack(*command) if command else _NO_COMMAND)
+        if None in commands:
+            for leg, command in zip(self._legs, commands, strict=True):
+                self._absences[leg] += command is None
+        self._poses.append(body)
+        self.traces.extend((body.x, body.y, body.roll, body.pitch))
+        self._phase = phase
+        self._stances = [gait.stance(phase) for gait in self._gaits]
+
+    def finish(self, senses: Sequence[LegSense], body: BodyState) -> None:
+        """Take the senses after the last tick, end the last cycle, and close the file."""
+        if self._phase is not None:
+            self._end_tick(senses, body)
+            if self._poses:
+                self._end_cycle()
+            self._phase = None
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def _end_tick(self, senses: Sequence[LegSense], body: BodyState) -> None:
+        """Credit what the senses say of the tick that just ended; end its cycle if it was last."""
+        before, self._body = self._body, body
+        if self._phase is None:
+            return
+        for sense, sums, stance in zip(senses, self._sums, self._stances, strict=True):
+            sums.stance += stance
+            if sense.restart:
+                continue
+            sums.reward += self._rewarder(sense, stance)
+            sums.slip += sense.slip
+            if sense.force_peak > sums.peak:
+                sums.peak = sense.force_peak
+            sums.contact += stance and sense.force_mean > 0.0
+        if body.falls != before.falls and self._first_fall is None:
+            self._first_fall = int(self._phase)
+        if (senses[0].tick % self._ticks) == 0:
+            self._end_cycle()
+
+    def _end_cycle(self) -> None:
+        assert self._phase is not None
+        cycle, poses = int(self._phase), self._poses
+        start, end, ticks, n = poses[0], self._body, len(poses), len(self._legs)
+        rows = []
+        for leg, sums in zip(self._legs, self._sums, strict=True):
+            share = sums.contact / sums.stance if sums.stance else 0.0
+            reward = sums.reward / ticks
+            rows.append(Row(cycle, leg, sums.peak, reward, share, sums.slip, *[None] * 6))
+        rolls, pitches = [p.roll for p in poses], [p.pitch for p in poses]
+        rows.append(
+            Row(
+                cycle,
+                "body",
+                max(row.peak_force_n for row in rows),
+                sum(row.reward for row in rows) / n,
+                sum(row.contact_share for row in rows) / n,
+                sum(row.slip_m for row in rows) / n,
+                (end.x - start.x) * math.cos(start.yaw) + (end.y - start.y) * math.sin(start.yaw),
+                statistics.pstdev(rolls),
+                statistics.pstdev(pitches),
+                max(map(abs, rolls + pitches)),
+                min(p.height for p in poses),
+                end.falls - start.falls,
+            )
+        )
+        self.rows += rows
+        if self._file is not None:
+            self._csv.writerows(rows)
+            self._file.flush()
+        self._poses = []
+        self._sums = [_Sums() for _ in self._legs]
+
+    def body_rows(self) -> list[Row]:
+        """Return the body's lines, one a cycle."""
+        return self.rows[len(self._legs) :: len(self._legs) + 1]
+
+    def summary(self) -> dict[str, Any]:
+        """Return what ``summary.json`` says of the run itself: plain numbers by name."""
+        rows = self.body_rows()
+        traces = np.frombuffer(self.traces).reshape(-1, 4)
+        return {
+            "cycles": len(rows),
+            "falls": self._body.falls,
+            "first_fall": self._first_fall,
+            "distance_per_cycle_m": _mean(row.distance_m for row in rows),
+            "roll_sd_rad": float(traces[:, 2].std()) if len(traces) else None,
+            "pitch_sd_rad": float(traces[:, 3].std()) if len(traces) else None,
+            "first": _window(rows[:WINDOW]),
+            "last": _window(rows[-WINDOW:]),
+            "absent_ticks": dict(self._absences),
+            "commands_sha256": self._commands_hash.hexdigest(),
+            "senses_sha256": self._senses_hash.hexdigest(),
+        }
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known else None
+
+
+def _window(rows: Sequence[Row]) -> dict[str, float | int | None]:
+    """Return means over some of the body's lines."""
+    return {
+        "cycles": len(rows),
+        "distance_per_cycle_m": _mean(row.distance_m for row in rows),
+        "contact_share": _mean(row.contact_share for row in rows),
+        "peak_force_n": _mean(row.peak_force_n for row in rows),
+        "reward": _mean(row.reward for row in rows),
+        "falls": sum(row.falls or 0 for row in rows),
+    }

@@ -1,0 +1,68 @@
+"""What a leg has heard of each tick, until all of a tick is there. Pure.
+
+The sources of a tick come in any order, and some may come twice, late, or with a stamp of the far
+future. The phase says what tick it is; nothing of another tick is ever used with it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+KEPT = 4
+"""Ticks kept of each source: more than lockstep ever needs, few enough to forget bad ones."""
+
+
+class Inbox:
+    """One slot a source and tick."""
+
+    def __init__(self, *sources: str) -> None:
+        """Begin empty, before any tick."""
+        self.last = -1
+        """The last tick that was complete."""
+        self._heard: dict[str, dict[int, Any]] = {source: {} for source in sources}
+        self._stale = dict.fromkeys(sources, -1)
+
+    def put(self, source: str, tick: int, value: Any) -> bool:
+        """Keep a value; return False if its tick is over."""
+        if tick <= self.last:
+            self._stale[source] = tick
+            return False
+        heard = self._heard[source]
+        heard.pop(tick, None)
+        heard[tick] = value
+        if len(heard) > KEPT:
+            del heard[next(iter(heard))]  # the one heard first
+        return True
+
+    def take(self, tick: int) -> tuple[Any, ...] | None:
+        """Return all values of a tick in the order of sources if they are there, and end it.
+
+        What is of earlier ticks goes; what is of later ones stays.
+        """
+        if any(tick not in heard for heard in self._heard.values()):
+            return None
+        values = tuple(heard[tick] for heard in self._heard.values())
+        self.last = tick
+        for heard in self._heard.values():
+            for old in [t for t in heard if t <= tick]:
+                del heard[old]
+        return values
+
+    def later(self, source: str) -> list[int]:
+        """Return the ticks after the last complete one of which ``source`` was heard."""
+        return sorted(self._heard[source])
+
+    def began_anew(self) -> bool:
+        """Return whether all sources agree on one tick from before the last complete one.
+
+        A publisher delivers in order, so this is a new world whose time begins anew; then
+        everything heard is forgotten.
+        """
+        ticks = set(self._stale.values())
+        if len(ticks) != 1 or not 0 <= min(ticks) < self.last:
+            return False
+        self.last = -1
+        for source, heard in self._heard.items():
+            heard.clear()
+            self._stale[source] = -1
+        return True

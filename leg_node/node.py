@@ -1,0 +1,285 @@
+"""A leg as a node: ``ros2 run ember_ros leg_node --ros-args -p leg:=front_left``."""
+
+from __future__ import annotations
+
+import sys
+import time
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from ember_ros import topics, wire
+from ember_ros.errors import ParameterError, PushError, SignalError
+from ember_ros.ros_params import declare_options, declare_params
+from ember_ros.signals import LegCommand, LegSense, Phase
+from ember_ros.spinning import main_of
+from leg_node.inbox import Inbox
+from leg_node.module import LegModule
+from leg_node.shared import Push
+from leg_node.table import load_table, save_table
+
+TABLE_PATIENCE_S = 0.4
+"""Wall time a leg waits for the table before it goes on without: less than a world waits for it."""
+LOG_EVERY_S = 5.0
+
+
+class LegNode(Node):  # type: ignore[misc]
+    """One leg: hears its own senses and the phase, calls the table, says its own command.
+
+    Subscribes: ``<leg>/joint_states``, ``<leg>/contact`` (sensor_msgs/JointState), ``cpg/phase``
+    (std_msgs/Float64).
+    Publishes: ``<leg>/command`` (sensor_msgs/JointState).
+    Calls: ``table/push``, ``table/pull``, unless ``shared`` is false.
+    Parameters: ``gait.*``, ``leg.*``, ``state.*``, ``reward.*``, ``train.*``, ``walk.*``; ``leg``,
+    ``stage``, ``seed``, ``policy``, ``learning``, ``shared``; ``table`` and ``save`` for a leg
+    that does not share.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Make the node; ``kwargs`` go to rclpy's ``Node``.
+
+        Raises:
+            ParameterError: a parameter is unknown or out of range, or there is no such leg.
+            TableError: the file ``table`` cannot be used.
+        """
+        kwargs.setdefault("node_name", "leg_node")
+        super().__init__(automatically_declare_parameters_from_overrides=True, **kwargs)
+        self.done = False
+        params = declare_params(self, ("gait", "leg", "state", "reward", "train", "walk"))
+        options = declare_options(
+            self,
+            ("leg", "stage", "seed", "policy", "learning", "shared", "table", "save"),
+        )
+        self._shared = shared = options["shared"]
+        if shared and (options["table"] or options["save"]):
+            raise ParameterError(
+                "a leg that shares its table neither loads nor saves one: give table and save to "
+                "the table_node, or set shared to false"
+            )
+        self._params, self._seed = params, options["seed"]
+        self._save = Path(options["save"]) if options["save"] else None
+        self.module = LegModule(
+            params,
+            options["leg"],
+            stage=options["stage"],
+            seed=options["seed"],
+            policy=options["policy"],
+            learning=options["learning"],
+            shared=shared,
+            table=load_table(Path(options["table"]), params)[0] if options["table"] else None,
+            run=uuid.uuid4().hex,
+        )
+        self.refused = 0
+        leg = self.module.leg
+        self._tick_ns, self._ticks = params.gait.tick_ns, params.gait.ticks
+        self._inbox = Inbox("joints", "contact", "phase")
+        self._writer = wire.CommandWriter(leg, self._tick_ns)
+        self._logged = -LOG_EVERY_S
+        # What a tick waits for: an answer of the table. None when it waits for nothing.
+        self._waiting: Callable[[], None] | None = None
+        self._else: Callable[[], None] | None = None
+        self._deadline = 0.0
+        self._table_away = False
+        self._pushing: Push | None = None
+
+        self._command = topics.command(leg).publish(self)
+        topics.joint_states(leg).subscribe(self, self._hear_joints)
+        topics.contact(leg).subscribe(self, self._hear_contact)
+        topics.PHASE.subscribe(self, self._hear_phase)
+        if shared:
+            self._push = topics.PUSH.call(self)
+            self._pull = topics.PULL.call(self)
+            self.create_timer(TABLE_PATIENCE_S / 4, self._watch_table)
+
+    # -- hearing -----------------------------------------------------------------------------
+
+    def _refuse(self, why: Exception | str) -> None:
+        """Count what is not used, and say so now and then."""
+        self.refused += 1
+        now = time.monotonic()
+        if now - self._logged >= LOG_EVERY_S:
+            self._logged = now
+            self.get_logger().warning(f"refused ({self.refused} so far): {why}")
+
+    def _hear_joints(self, message: JointState) -> None:
+        self._hear("joints", message, wire.check_joints)
+
+    def _hear_contact(self, message: JointState) -> None:
+        self._hear("contact", message, wire.check_contact)
+
+    def _hear(
+        self, source: str, message: JointState, check: Callable[[JointState, str], None]
+    ) -> None:
+        where = f"{self.module.leg} {source}"
+        try:
+            check(message, where)
+            tick = wire.tick_of(message.header.stamp, self._tick_ns, where)
+        except SignalError as why:
+            self._refuse(why)
+        else:
+            self._put(source, tick, message)
+
+    def _hear_phase(self, message: Float64) -> None:
+        try:
+            tick = wire.phase_tick(message.data, self._ticks, "cpg/phase")
+        except SignalError as why:
+            self._refuse(why)
+        else:
+            self._put("phase", tick, message.data)
+
+    def _put(self, source: str, tick: int, value: Any) -> None:
+        last = self._inbox.last
+        if not self._inbox.put(source, tick, value):
+            if self._inbox.began_anew():
+                self.get_logger().warning(f"time began anew at tick {tick}, the last was {last}")
+                self.module.restart(last, uuid.uuid4().hex)
+            else:
+                self._refuse(f"{self.module.leg} {source}: tick {tick} is over, last was {last}")
+        elif self._waiting is None:
+            self._look(tick)
+
+    def _look(self, tick: int) -> None:
+        """Begin a tick if all of it is there, and the table was met."""
+        if self._shared and self.module.copy.version is None and not self._pull.service_is_ready():
+            return  # a leg does not start from nothing while the table is still starting
+        values = self._inbox.take(tick)
+        if values is not None:
+            joints, contact, phase = values
+            self._begin(wire.read_sense(tick, joints, contact), phase)
+
+    # -- one tick ----------------------------------------------------------------------------
+
+    def _begin(self, sense: LegSense, phase: Phase) -> None:
+        """Pull if an epoch begins, then act."""
+        upto = self.module.copy.pull_due(sense.tick)
+        if upto is None or self._table_away:
+            self._act(sense, phase)
+            return
+        future = self._pull.call_async(wire.write_pull(self.module.copy.version, upto))
+        if self.module.copy.version is None:
+            waiting = self._wait(lambda: self._act(sense, phase), lambda: self._begin(sense, phase))
+        else:
+            waiting = self._wait(lambda: self._act(sense, phase))
+        future.add_done_callback(lambda done: self._pulled(done, upto, waiting))
+
+    def _pulled(self, future: Future, upto: int, waiting: Callable[[], None]) -> None:
+        if self._waiting is not waiting:
+            return  # too late: the tick went on without
+        try:
+            self.module.copy.take(wire.read_changes(future.result()), upto)
+        except PushError as why:
+            self._refuse(why)
+        self._go_on()
+
+    def _act(self, sense: LegSense, phase: Phase) -> None:
+        """Have the tick, push if an epoch ends, then say the command."""
+        command = self.module.tick(sense, phase)
+        self.module.copy.close_epoch(sense.tick)
+        if self.module.copy.push_due() is None:
+            self._say(command)
+            return
+        self._send_push()
+        if self._table_away:
+            self._say(command)
+        else:
+            self._wait(lambda: self._say(command))
+
+    def _say(self, command: LegCommand) -> None:
+        self._writer.fill(command)
+        self._command.publish(self._writer.message)
+        for tick in self._inbox.later("phase"):  # what came while this tick waited
+            if self._waiting is None:
+                self._look(tick)
+
+    # -- the table ---------------------------------------------------------------------------
+
+    def _send_push(self) -> None:
+        """Send the oldest push that is not acknowledged, unless it is under way."""
+        push = self.module.copy.push_due()
+        if push is None or push is self._pushing:
+            return
+        self._pushing = push
+        future = self._push.call_async(wire.write_push(push))
+        future.add_done_callback(lambda done: self._pushed(done, push))
+
+    def _pushed(self, future: Future, push: Push) -> None:
+        if push is self._pushing:
+            self._pushing = None
+        result = future.result().result
+        if not result.successful:
+            self._refuse(f"the table refused a push: {result.reason}")
+        # A push that is refused is dropped: said again, it would be refused again.
+        self.module.copy.acknowledged(push)
+        if self._table_away:
+            self._table_away = False
+            self.get_logger().info("the table is back")
+        if self.module.copy.push_due() is not None:
+            self._send_push()
+        elif self._waiting is not None:
+            self._go_on()
+
+    def _wait(
+        self, then: Callable[[], None], else_: Callable[[], None] | None = None
+    ) -> Callable[[], None]:
+        """Hold the tick until the table answers: ``then`` goes on with it.
+
+        ``else_`` is done when the table does not answer in time; going on without it for None.
+        """
+        self._waiting, self._else = then, else_
+        self._deadline = time.monotonic() + TABLE_PATIENCE_S
+        return then
+
+    def _go_on(self) -> None:
+        then, self._waiting = self._waiting, None
+        if then is not None:
+            then()
+
+    def _watch_table(self) -> None:
+        """Go on alone when the table does not answer; knock again while it is away."""
+        if self._waiting is None:
+            if self._table_away and self._push.service_is_ready():
+                self._pushing = None
+                self._send_push()
+            for tick in self._inbox.later("phase"):  # a first tick that waited for the table
+                if self._waiting is None:
+                    self._look(tick)
+        elif time.monotonic() > self._deadline:
+            if self._else is not None:
+                self._waiting = None
+                self._else()
+                return
+            self._table_away = True
+            self._pushing = None
+            self.get_logger().warning(
+                f"the table does not answer within {TABLE_PATIENCE_S} s: "
+                "going on alone, keeping what is learnt for it"
+            )
+            self._go_on()
+
+    def finish(self, spin: Callable[[], None]) -> None:
+        """Hand in what was learnt since the last epoch; wait a moment for the table to have it."""
+        copy = self.module.copy
+        copy.close_epoch(self._inbox.last, early=True)
+        deadline = time.monotonic() + 2 * TABLE_PATIENCE_S
+        while copy.push_due() is not None and time.monotonic() < deadline:
+            self._send_push()
+            spin()
+        if copy.push_due() is not None:
+            self.get_logger().error("the table did not take what was learnt last; it is lost")
+        if self._save is not None:
+            save_table(self._save, copy.table, self._params, self._seed)
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the node until a signal."""
+    sys.exit(main_of(LegNode, args))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,39 @@
+"""What colcon reads to build the package; pip reads pyproject.toml, which says the same.
+
+test/test_packaging.py holds the two against each other. There is no setup.cfg: the usual
+``install_scripts`` there is not needed, since ``ros2 run`` finds the wrappers below lib/.
+"""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+setup(
+    name="ember_ros",
+    # A literal, because the ROS release tools bump it here and in package.xml.
+    version="0.1.0",
+    description="Legs as reinforcement-learning modules on a ROS 2 graph",
+    license="Apache-2.0",
+    maintainer="ember_ros maintainers",
+    maintainer_email="ember_ros@example.org",
+    python_requires=">=3.10",
+    packages=find_packages(include=["ember_ros*", "sim_node*", "leg_node*", "cpg_node*"]),
+    # Only what packages names: launch files and wrappers go to share/ and lib/.
+    include_package_data=False,
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["ember_ros/resource/ember_ros"]),
+        ("share/ember_ros", ["package.xml"]),
+        ("share/ember_ros/launch", sorted(glob("ember_ros/launch/*.launch.py"))),
+        ("lib/ember_ros", sorted(glob("ember_ros/resource/lib/*"))),
+    ],
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "ember = ember_ros.cli:main",
+            "sim_node = sim_node.node:main",
+            "leg_node = leg_node.node:main",
+            "cpg_node = cpg_node.node:main",
+            "table_node = leg_node.table_node:main",
+        ]
+    },
+)

@@ -1,0 +1,331 @@
+"""The world as a node: ``ros2 run ember_ros sim_node --ros-args -p world:=walker``."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Int64
+
+from ember_ros import topics, wire
+from ember_ros.errors import SignalError
+from ember_ros.plan import legs_of, make_world
+from ember_ros.report.recorder import Recorder
+from ember_ros.ros_params import declare_options, declare_params
+from ember_ros.signals import LegCommand, Phase
+from ember_ros.spinning import main_of
+from sim_node.world import World
+
+WATCH_S = 0.05  # wall time between looks at who is late
+SAY_S = 5.0  # wall time between two lines of the log on one matter
+
+
+class SimNode(Node):  # type: ignore[misc]
+    """Publishes what each leg senses at a tick, and steps when all commands of that tick are in.
+
+    In ``lockstep`` a leg that does not answer within ``patience`` is declared absent: its joints
+    are held still and nobody waits for it until it speaks again. While nobody at all answers, or
+    the phase is missing, the world stands still. In ``realtime`` every tick lasts its own length
+    of wall time, and who is late is held still for that tick.
+
+    Subscribes: ``cpg/phase`` (std_msgs/Float64), ``<leg>/command`` (sensor_msgs/JointState).
+    Publishes: ``clock`` (rosgraph_msgs/Clock), ``<leg>/joint_states``, ``<leg>/contact``
+    (sensor_msgs/JointState), ``falls`` (std_msgs/Int64), ``odometry`` (nav_msgs/Odometry),
+    ``diagnostics`` (diagnostic_msgs/DiagnosticArray).
+    Parameters: ``gait.*``, ``leg.*``, ``physics.*``, ``trainer.*``, ``walker.*``, ``reward.*``;
+    ``world``, ``mode``, ``gui``, ``cycles``, ``patience``, ``out``, ``seed``.
+    """
+
+    def __init__(self, world: World | None = None, **kwargs: Any) -> None:
+        """Make the node; ``kwargs`` go to rclpy's ``Node``.
+
+        Args:
+            world: where the legs are mounted; the one that the parameters name for None.
+
+        Raises:
+            ParameterError: a parameter is unknown or out of range, or PyBullet is missing.
+        """
+        super().__init__(
+            "sim_node", automatically_declare_parameters_from_overrides=True, **kwargs
+        )
+        self.done = False
+        params = declare_params(
+            self, ("gait", "leg", "physics", "trainer", "walker", "reward")
+        )
+        options = declare_options(
+            self, ("world", "mode", "gui", "cycles", "patience", "out", "seed")
+        )
+        self._out = Path(options["out"]) if options["out"] else None
+        self.world = world or make_world(
+            options["world"], params, options["seed"], gui=options["gui"]
+        )
+        self.legs = self.world.legs if world else legs_of(options["world"])
+        self.recorder = Recorder(params, self.legs, self._out)
+        self.refused = 0
+        self._realtime = options["mode"] == "realtime"
+        self._patience = options["patience"]
+        self._tick_ns, self._ticks = params.gait.tick_ns, params.gait.ticks
+        self._last = options["cycles"] * self._ticks or math.inf
+        self._tick = 0
+        self._phase: Phase | None = None
+        self._commands: dict[str, LegCommand] = {}
+        self._absent: set[str] = set()
+        self._started = False
+        self._since = time.monotonic()  # when the present tick was published
+        self._said: dict[str, float] = {}
+        self._falls = -1
+
+        self._clock_publisher, self._clock_message = topics.CLOCK.publish(self), Clock()
+        self._writers = [wire.SenseWriter(leg, self._tick_ns) for leg in self.legs]
+        self._joints = [topics.joint_states(leg).publish(self) for leg in self.legs]
+        self._contacts = [topics.contact(leg).publish(self) for leg in self.legs]
+        self._falls_publisher = topics.FALLS.publish(self)
+        self._odometry, self._odometry_message = topics.ODOMETRY.publish(self), Odometry()
+        self._odometry_message.header.frame_id = "odom"
+        self._odometry_message.child_frame_id = "body"
+        self._diagnostics = topics.DIAGNOSTICS.publish(self)
+        self._phase_subscription = topics.PHASE.subscribe(self, self._hear_phase)
+        self._subscriptions_by_leg = {
+            leg: topics.command(leg).subscribe(self, self._listener(leg)) for leg in self.legs
+        }
+        if self._last == 0:
+            self.done = True
+        if self._realtime:
+            self.create_timer(params.gait.tick_s, self._every_tick)
+        else:
+            self.create_timer(WATCH_S, self._watch)
+
+    # -- hearing -----------------------------------------------------------------------------
+
+    def _refuse(self, why: Exception | str) -> None:
+        """Count what is not used, and say so now and then."""
+        self.refused += 1
+        self._say("refused", f"refused ({self.refused} so far): {why}")
+
+    def _say(self, matter: str, text: str) -> None:
+        """Log a warning unless this matter was spoken of just now."""
+        now = time.monotonic()
+        if now - self._said.get(matter, -SAY_S) >= SAY_S:
+            self._said[matter] = now
+            self.get_logger().warning(text)
+
+    def _hear_phase(self, message: Float64) -> None:
+        try:
+            tick = wire.phase_tick(message.data, self._ticks, "cpg/phase")
+        except SignalError as why:
+            self._refuse(why)
+            return
+        if tick == self._tick and self._started:
+            self._phase = message.data
+            self._step_if_complete()
+        elif tick > self._tick:
+            self._refuse(f"cpg/phase: tick {tick} is not yet, now is {self._tick}")
+
+    def _listener(self, leg: str) -> Callable[[JointState], None]:
+        where = f"{leg}/command"
+
+        def hear(message: JointState) -> None:
+            try:
+                command = wire.read_command(message, self._tick_ns, where)
+            except SignalError as why:
+                self._refuse(why)
+                return
+            if command.tick > self._tick:
+                self._refuse(f"{where}: tick {command.tick} is not yet, now is {self._tick}")
+                return
+            if leg in self._absent:  # late or not, it lives: wait for it from now on
+                self._absent.discard(leg)
+                self.get_logger().info(f"{leg} is back at tick {self._tick}")
+                self._diagnose()
+            if command.tick == self._tick and self._started:
+                self._commands[leg] = command
+                self._step_if_complete()
+            else:
+                self._refuse(f"{where}: tick {command.tick} is over, now is {self._tick}")
+
+        return hear
+
+    # -- one tick ----------------------------------------------------------------------------
+
+    def _publish(self) -> None:
+        """Say what is sensed at the present tick, and what time it is."""
+        self._since = time.monotonic()
+        self._phase = None
+        self._commands.clear()
+        ns = self._tick * self._tick_ns
+        for writer, sense, joints, contact in zip(
+            self._writers, self.world.observe(), self._joints, self._contacts, strict=True
+        ):
+            writer.fill(sense)
+            joints.publish(writer.joints)
+            contact.publish(writer.contact)
+        wire.set_stamp(self._clock_message.clock, ns)
+        self._clock_publisher.publish(self._clock_message)
+        body = self.world.body()
+        if body.falls != self._falls:
+            if body.falls > max(self._falls, 0):
+                self.get_logger().warning(
+                    f"fall {body.falls} in cycle {self._tick // self._ticks}; put back on its feet"
+                )
+            self._falls = body.falls
+            self._falls_publisher.publish(Int64(data=body.falls))
+        if self._odometry.get_subscription_count():
+            self._publish_odometry(ns)
+        if self._tick % self._ticks == 0:
+            self._diagnose()
+
+    def _publish_odometry(self, ns: int) -> None:
+        body, message = self.world.body(), self._odometry_message
+        wire.set_stamp(message.header.stamp, ns)
+        pose = message.pose.pose
+        pose.position.x, pose.position.y, pose.position.z = body.x, body.y, body.height
+        turn = pose.orientation
+        turn.x, turn.y, turn.z, turn.w = wire.quaternion(body.roll, body.pitch, body.yaw)
+        self._odometry.publish(message)
+
+    def _step_if_complete(self) -> None:
+        """Step once the phase and the commands of everybody present are in."""
+        if self._realtime or self._phase is None or not self._commands:
+            return
+        if all(leg in self._commands or leg in self._absent for leg in self.legs):
+            self._step()
+
+    def _step(self) -> None:
+        """Advance the world by the present tick, and begin the next one."""
+        assert self._phase is not None
+        commands = [self._commands.get(leg) for leg in self.legs]
+        self.recorder.tick(self._phase, self.world.observe(), commands, self.world.body())
+        self.world.step(self._phase, commands)
+        self._tick += 1
+        if self._tick >= self._last:
+            self.done = True
+            self._started = False
+        else:
+            self._publish()
+
+    # -- waiting -----------------------------------------------------------------------------
+
+    def _missing(self) -> list[str]:
+        """Return who is not yet on the graph, both ways."""
+        missing = []
+        if not self._phase_subscription.handle.get_publisher_count():
+            missing.append("cpg_node")
+        for leg, joints, contact in zip(self.legs, self._joints, self._contacts, strict=True):
+            hears = joints.get_subscription_count() and contact.get_subscription_count()
+            if not (hears and self._subscriptions_by_leg[leg].handle.get_publisher_count()):
+                missing.append(leg)
+        return missing
+
+    def _start_if_all_there(self) -> None:
+        if self.done:
+            return
+        missing = self._missing()
+        if missing:
+            if time.monotonic() - self._since > self._patience:
+                self._say("start", f"waiting for {', '.join(missing)}")
+            return
+        if self.count_publishers(topics.CLOCK.name) > 1:
+            self.get_logger().warning(
+                "another sim_node publishes the same clock: give one of them a namespace "
+                "(-r __ns:=/robot_2) or another ROS_DOMAIN_ID"
+            )
+        self._started = True
+        self._publish()
+
+    def _watch(self) -> None:
+        """In lockstep: begin when all are there; declare absent who is late."""
+        if not self._started:
+            self._start_if_all_there()
+            return
+        if time.monotonic() - self._since < self._patience:
+            return
+        if self._phase is None:
+            self._say("phase", f"the phase of tick {self._tick} is missing: standing still")
+            self._diagnose()
+        elif not self._commands:
+            self._say("legs", f"no leg answers at tick {self._tick}: standing still")
+            self._diagnose()
+        else:
+            for leg in self.legs:
+                if leg not in self._commands and leg not in self._absent:
+                    self._absent.add(leg)
+                    self.get_logger().warning(
+                        f"{leg} did not answer within {self._patience} s at tick {self._tick}: "
+                        "absent, its joints are held still"
+                    )
+            self._diagnose()
+            self._step_if_complete()
+
+    def _every_tick(self) -> None:
+        """In real time: step with whatever is there."""
+        if not self._started:
+            self._start_if_all_there()
+        elif self._phase is None:
+            self._say("phase", f"the phase of tick {self._tick} is missing: standing still")
+        else:
+            late = {leg for leg in self.legs if leg not in self._commands}
+            if late - self._absent:
+                self._say("late", f"{', '.join(sorted(late))} late at tick {self._tick}")
+            self._absent = late
+            self._step()
+
+    # -- telling -----------------------------------------------------------------------------
+
+    def _diagnose(self) -> None:
+        """Publish who is absent and what was refused."""
+        stuck = self._started and time.monotonic() - self._since >= self._patience
+        no_phase = stuck and self._phase is None
+        message = DiagnosticArray()
+        wire.set_stamp(message.header.stamp, self._tick * self._tick_ns)
+        sim = DiagnosticStatus(
+            name="sim_node",
+            level=DiagnosticStatus.WARN if self._absent or no_phase else DiagnosticStatus.OK,
+            message="no phase" if no_phase else "standing still" if stuck else "walking",
+            values=[
+                KeyValue(key="cycle", value=str(self._tick // self._ticks)),
+                KeyValue(key="falls", value=str(self.world.body().falls)),
+                KeyValue(key="refused", value=str(self.refused)),
+            ],
+        )
+        message.status = [sim]
+        for leg in self.legs:
+            away = leg in self._absent
+            message.status.append(
+                DiagnosticStatus(
+                    name=leg,
+                    level=DiagnosticStatus.ERROR if away else DiagnosticStatus.OK,
+                    message="absent" if away else "present",
+                )
+            )
+        self._diagnostics.publish(message)
+
+    def finish(self, spin: Callable[[], None]) -> None:
+        """End the record."""
+        self.recorder.finish(self.world.observe(), self.world.body())
+        if self._out is not None:
+            text = json.dumps(self.recorder.summary(), indent=2)
+            (self._out / "measured.json").write_text(text + "\n", encoding="utf-8")
+
+    def destroy_node(self) -> None:
+        """Destroy the node and let go of the world."""
+        self.world.close()
+        super().destroy_node()
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the node until its cycles are done or a signal comes."""
+    sys.exit(main_of(SimNode, args))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,386 @@
+"""pip reads pyproject.toml, colcon reads setup.py and package.xml: all three must say the same."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import runpy
+import subprocess
+import sys
+from collections.abc import Iterator
+from fnmatch import fnmatch
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+import setuptools
+
+import ember_ros
+from ember_ros.signals import LEGS, TRAINER_LEG
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).resolve().parents[1]
+LAUNCH = ROOT / "ember_ros" / "launch"
+WRAPPERS = ROOT / "ember_ros" / "resource" / "lib"
+NODES = ("cpg_node", "leg_node", "sim_node", "table_node")
+
+# Names under which rosdep knows what pip and Python call otherwise.
+ROSDEP = {
+    "PyYAML": "python3-yaml",
+    "click": "python3-click",
+    "matplotlib": "python3-matplotlib",
+    "numpy": "python3-numpy",
+    "pybullet": "python3-pybullet-pip",
+    "pybullet_data": "python3-pybullet-pip",
+    "rich": "python3-rich",
+    "yaml": "python3-yaml",
+}
+# Imported only by `ember` verbs that say how to install them: the extra `bags`.
+OPTIONAL = {"mcap", "rosbags"}
+
+
+@pytest.fixture
+def pyproject() -> dict[str, Any]:
+    """What pip is told."""
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+@pytest.fixture
+def setup_py(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What colcon is told: the arguments that setup.py calls setup() with."""
+    calls: list[dict[str, Any]] = []
+    monkeypatch.setattr(setuptools, "setup", lambda **arguments: calls.append(arguments))
+    monkeypatch.chdir(ROOT)
+    runpy.run_path("setup.py", run_name="__main__")
+    (arguments,) = calls
+    return arguments
+
+
+@pytest.fixture
+def package_xml() -> ElementTree.Element:
+    """What rosdep and the ROS release tools are told."""
+    return ElementTree.parse(ROOT / "package.xml").getroot()
+
+
+def text(element: ElementTree.Element, tag: str) -> str:
+    """Return the text of the only child with this tag."""
+    (child,) = element.findall(tag)
+    assert child.text
+    return child.text.strip()
+
+
+def top_packages(pyproject: dict[str, Any]) -> list[str]:
+    """Return the names of the top-level packages in the wheel."""
+    names: list[str] = pyproject["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+    return names
+
+
+def shipped_by_pip(pyproject: dict[str, Any]) -> dict[str, str]:
+    """Return {place below the prefix: source} of the wheel's shared data, folders walked."""
+    wheel = pyproject["tool"]["hatch"]["build"]["targets"]["wheel"]
+    shipped = {}
+    for source, place in wheel["shared-data"].items():
+        path = ROOT / source
+        assert path.exists(), f"pyproject.toml ships {source}, which does not exist"
+        for file in [path] if path.is_file() else files_below(path):
+            below = "" if file == path else f"/{file.relative_to(path).as_posix()}"
+            shipped[place + below] = source + below
+    return shipped
+
+
+def shipped_by_colcon(setup_py: dict[str, Any]) -> dict[str, str]:
+    """Return {place below the prefix: source} of setup.py's data files."""
+    return {
+        f"{folder}/{Path(source).name}": source
+        for folder, sources in setup_py["data_files"]
+        for source in sources
+    }
+
+
+def files_below(folder: Path) -> Iterator[Path]:
+    """Yield the files below a folder, without what Python compiled."""
+    return (path for path in folder.rglob("*") if path.is_file() and path.suffix != ".pyc")
+
+
+def in_site_packages(pyproject: dict[str, Any]) -> Iterator[Path]:
+    """Yield the files that go where Python imports from, in both kinds of installation."""
+    elsewhere = (LAUNCH, WRAPPERS.parent)
+    for name in top_packages(pyproject):
+        for path in files_below(ROOT / name):
+            if not any(folder in path.parents for folder in elsewhere):
+                yield path
+
+
+def test_names_agree(
+    pyproject: dict[str, Any], setup_py: dict[str, Any], package_xml: ElementTree.Element
+) -> None:
+    """Pip, colcon and ROS know the package under one name, which the ament marker bears too."""
+    assert pyproject["project"]["name"] == "ember_ros"
+    assert setup_py["name"] == "ember_ros"
+    assert text(package_xml, "name") == "ember_ros"
+    assert (ROOT / "ember_ros" / "resource" / "ember_ros").read_bytes() == b""
+
+
+def test_versions_agree(
+    pyproject: dict[str, Any], setup_py: dict[str, Any], package_xml: ElementTree.Element
+) -> None:
+    """A release that bumps the version in one place and forgets another fails."""
+    source = pyproject["tool"]["hatch"]["version"]
+    found = re.findall(source["pattern"], (ROOT / source["path"]).read_text())
+    assert found == [text(package_xml, "version")]
+    assert setup_py["version"] == text(package_xml, "version")
+    # Read from the installation, so that an outdated one fails; a bare checkout has none.
+    assert ember_ros.__version__ in (text(package_xml, "version"), "unknown")
+
+
+def test_release_tools_can_bump_setup_py() -> None:
+    """catkin_prepare_release, which looks for exactly this, finds one literal version."""
+    literals = re.findall(r'version="\d+\.\d+\.\d+",', (ROOT / "setup.py").read_text())
+    assert len(literals) == 1
+
+
+def test_console_scripts_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> None:
+    """Both ways of installing give the same commands: `ember` and one for each node."""
+    scripts = pyproject["project"]["scripts"]
+    told = [re.split(r"\s*=\s*", line) for line in setup_py["entry_points"]["console_scripts"]]
+    assert dict(told) == scripts
+    assert set(scripts) == {"ember", *NODES}
+
+
+@pytest.mark.parametrize("script", ["ember", *NODES])
+def test_console_script_has_a_target(pyproject: dict[str, Any], script: str) -> None:
+    """The module of a console script exists and has the function, told without importing it."""
+    module, _, function = pyproject["project"]["scripts"][script].partition(":")
+    source = ROOT.joinpath(*module.split(".")).with_suffix(".py")
+    names = {
+        getattr(node, "name", None) for node in ast.parse(source.read_text(), str(source)).body
+    }
+    assert function in names
+
+
+def test_packages_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> None:
+    """Every module that pip installs lies in a package that colcon installs, and no other does."""
+    folders = {path.parent for path in in_site_packages(pyproject) if path.suffix == ".py"}
+    dotted = {".".join(folder.relative_to(ROOT).parts) for folder in folders}
+    assert set(setup_py["packages"]) == dotted
+
+
+def test_package_data_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> None:
+    """A file beside the modules, which pip installs unasked, is named to colcon, which does not."""
+    patterns = setup_py.get("package_data", {}).get("", [])
+    assert [
+        str(path.relative_to(ROOT))
+        for path in in_site_packages(pyproject)
+        if path.suffix != ".py" and not any(fnmatch(path.name, pattern) for pattern in patterns)
+    ] == []
+
+
+def test_data_files_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> None:
+    """Both ways of installing put the same files into share/ and lib/."""
+    assert shipped_by_pip(pyproject) == shipped_by_colcon(setup_py)
+
+
+def test_ros_finds_the_package(setup_py: dict[str, Any]) -> None:
+    """The marker, the manifest, every launch file and one wrapper a node are where ROS looks."""
+    launch_files = [path.name for path in files_below(LAUNCH)]
+    assert {"walk.launch.py", "train.launch.py"} <= set(launch_files)
+    assert set(shipped_by_colcon(setup_py)) == {
+        "share/ament_index/resource_index/packages/ember_ros",
+        "share/ember_ros/package.xml",
+        *(f"share/ember_ros/launch/{name}" for name in launch_files),
+        *(f"lib/ember_ros/{node}" for node in NODES),
+    }
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_wrapper_is_executable(node: str) -> None:
+    """`ros2 run` lists only files that may be executed; git and both installers keep that bit."""
+    assert os.access(WRAPPERS / node, os.X_OK)
+
+
+@pytest.mark.parametrize("linked", [False, True], ids=["copied", "linked"])
+@pytest.mark.parametrize("node", NODES)
+def test_wrapper_runs_the_console_script_of_its_prefix(
+    node: str, linked: bool, tmp_path: Path
+) -> None:
+    """Copied (pip, colcon) or linked (colcon --symlink-install), from a path with a space.
+
+    The wrapper becomes the console script, in the same process, so that a signal reaches the
+    node; every argument arrives unsplit.
+    """
+    prefix = tmp_path / "a prefix"
+    wrapper = prefix / "lib" / "ember_ros" / node
+    wrapper.parent.mkdir(parents=True)
+    if linked:
+        wrapper.symlink_to(WRAPPERS / node)
+    else:
+        wrapper.write_bytes((WRAPPERS / node).read_bytes())
+        wrapper.chmod(0o755)
+    script = prefix / "bin" / node
+    script.parent.mkdir()
+    script.write_text('#!/bin/sh\necho "$$"\nprintf "%s\\n" "$@"\n')
+    script.chmod(0o755)
+    process = subprocess.Popen(
+        [wrapper, "--ros-args", "-p", "out:=two words"], stdout=subprocess.PIPE, text=True
+    )
+    output, _ = process.communicate(timeout=10)
+    assert output.splitlines() == [str(process.pid), "--ros-args", "-p", "out:=two words"]
+    assert process.returncode == 0
+
+
+def test_build_type(package_xml: ElementTree.Element) -> None:
+    """Colcon builds the package with setup.py; a setup.cfg would move the console scripts."""
+    (export,) = package_xml.findall("export")
+    assert text(export, "build_type") == "ament_python"
+    assert package_xml.get("format") == "3"
+    assert not (ROOT / "setup.cfg").exists()
+
+
+def test_pip_dependencies_are_known_to_rosdep(
+    pyproject: dict[str, Any], package_xml: ElementTree.Element
+) -> None:
+    """What pip installs for the package, rosdep installs as well."""
+    names = {re.split(r"[^\w-]", line)[0] for line in pyproject["project"]["dependencies"]}
+    told = {element.text for element in package_xml.findall("exec_depend")}
+    assert {ROSDEP[name] for name in names} <= told
+
+
+def test_imports_are_declared(pyproject: dict[str, Any], package_xml: ElementTree.Element) -> None:
+    """Every package that the source or a launch file imports is an exec_depend in package.xml."""
+    imported: set[str] = set()
+    for path in [*in_site_packages(pyproject), *files_below(LAUNCH)]:
+        if path.suffix != ".py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(), str(path))):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                imported.add(node.module.partition(".")[0])
+    foreign = imported - sys.stdlib_module_names - set(top_packages(pyproject)) - OPTIONAL
+    told = {element.text for element in package_xml.findall("exec_depend")}
+    assert sorted({ROSDEP.get(name, name) for name in foreign} - told) == []
+
+
+class Recorded:
+    """Stands for any class of launch and launch_ros, which no wheel brings: keeps its arguments."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self.args = args
+        self.kwargs = kwargs
+
+    def perform(self, context: dict[str, str]) -> str:
+        """Return the value of a LaunchConfiguration; the context is a plain dict here."""
+        return context[self.args[0]]
+
+
+@pytest.fixture
+def recorded_launch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let launch files import launch and launch_ros, and get ``Recorded`` for every class."""
+    for name in (
+        "launch",
+        "launch.actions",
+        "launch.launch_description_sources",
+        "launch.substitutions",
+        "launch_ros",
+        "launch_ros.actions",
+        "launch_ros.parameter_descriptions",
+    ):
+        module = ModuleType(name)
+        module.__dict__["__getattr__"] = lambda _: Recorded
+        module.__dict__["__path__"] = []
+        monkeypatch.setitem(sys.modules, name, module)
+
+
+def launch_nodes(**given: str) -> dict[str, dict[str, Any]]:
+    """Return {node name: arguments of its Node} that walk.launch.py starts with these arguments."""
+    launch_file = runpy.run_path(str(LAUNCH / "walk.launch.py"))
+    declared = {
+        action.args[0]: action.kwargs["default_value"]
+        for action in launch_file["generate_launch_description"]().args[0]
+        if "default_value" in action.kwargs
+    }
+    assert set(given) <= set(declared)
+    nodes = launch_file["start"]({**declared, **given})
+    return {node.kwargs["name"]: node.kwargs for node in nodes}
+
+
+def values(parameters: dict[str, Any]) -> dict[str, Any]:
+    """Return parameters with a ParameterValue told as (text, type)."""
+    return {
+        name: (value.args[0], value.kwargs["value_type"]) if isinstance(value, Recorded) else value
+        for name, value in parameters.items()
+    }
+
+
+@pytest.mark.usefixtures("recorded_launch")
+@pytest.mark.parametrize(("world", "legs"), [("walker", LEGS), ("trainer", (TRAINER_LEG,))])
+def test_launch_starts_the_whole_graph(world: str, legs: tuple[str, ...]) -> None:
+    """One sim, one generator, one table, and every leg of that world under a name of its own."""
+    nodes = launch_nodes(world=world)
+    executables = {name: node["executable"] for name, node in nodes.items()}
+    assert executables == {
+        **{node: node for node in NODES if node != "leg_node"},
+        **{f"leg_{leg}": "leg_node" for leg in legs},
+    }
+    assert {node["package"] for node in nodes.values()} == {"ember_ros"}
+    for leg in legs:
+        assert values(nodes[f"leg_{leg}"]["parameters"][-1]) == {"leg": leg}
+
+
+@pytest.mark.usefixtures("recorded_launch")
+def test_launch_arguments_reach_the_nodes() -> None:
+    """Each argument becomes the parameter it names, after params_file, so that it wins."""
+    nodes = launch_nodes(
+        namespace="robot",
+        params_file="p.yaml",
+        table="t",
+        save="s",
+        cycles="7",
+        seed="3",
+        gui="true",
+    )
+    assert {node["namespace"] for node in nodes.values()} == {"robot"}
+    assert {node["parameters"][0] for node in nodes.values()} == {"p.yaml"}
+    assert values(nodes["sim_node"]["parameters"][1]) == {
+        "world": ("walker", str),
+        "cycles": ("7", int),
+        "seed": ("3", int),
+        "gui": ("true", bool),
+    }
+    assert values(nodes["table_node"]["parameters"][1]) == {"table": ("t", str), "save": ("s", str)}
+    assert values(nodes[f"leg_{LEGS[0]}"]["parameters"][1]) == {"leg": LEGS[0], "seed": ("3", int)}
+
+
+@pytest.mark.usefixtures("recorded_launch")
+def test_train_launch_is_the_same_graph_in_the_trainer() -> None:
+    """train.launch.py includes walk.launch.py and changes nothing but the world."""
+    launch_file = runpy.run_path(str(LAUNCH / "train.launch.py"))
+    ((include,),) = launch_file["generate_launch_description"]().args
+    (source,) = include.args
+    assert source.args[0].args[0][-1] == "walk.launch.py"
+    assert dict(include.kwargs["launch_arguments"]) == {"world": "trainer"}
+
+
+def test_installed_prefix_is_complete(pyproject: dict[str, Any]) -> None:
+    """The environment the tests run in, if one was named, holds what `ros2 run` looks for.
+
+    `make test` names .venv, so this proves that an editable install brings the marker and an
+    executable file for each node, each beside a console script of its name.
+    """
+    prefixes = [Path(part) for part in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if part]
+    marker = "share/ament_index/resource_index/packages/ember_ros"
+    prefix = next((path for path in prefixes if (path / marker).is_file()), None)
+    if prefix is None:
+        pytest.skip("AMENT_PREFIX_PATH names no prefix that ember_ros is installed in")
+    for place in shipped_by_pip(pyproject):
+        assert (prefix / place).is_file()
+    for node in NODES:
+        assert os.access(prefix / "lib" / "ember_ros" / node, os.X_OK)
+        assert os.access(prefix / "bin" / node, os.X_OK)
