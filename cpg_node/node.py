@@ -7,11 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.node import Node
-from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Float64
 
 from cpg_node.cpg import FixedPeriod
 from ember_ros import topics, wire
+from ember_ros.errors import SignalError
 from ember_ros.ros_params import declare_params
 from ember_ros.spinning import main_of
 
@@ -36,20 +35,19 @@ class CpgNode(Node):  # type: ignore[misc]
         self.done = False
         params = declare_params(self, ("gait",))
         self._oscillator = FixedPeriod(params.gait)
-        self._message = Float64()
         self._said: float | None = None
         self._publisher = topics.PHASE.publish(self)
         topics.CLOCK.subscribe(self, self._hear)
 
-    def _hear(self, clock: Clock) -> None:
-        ns = wire.stamp_ns(clock.clock)
-        if ns < 0:
-            self.get_logger().warning(f"clock {ns} ns is before the start; not used")
+    def _hear(self, data: bytes) -> None:
+        try:
+            phase = self._oscillator.phase(wire.read_clock(data, topics.CLOCK.name))
+        except SignalError as why:
+            self.get_logger().warning(f"refused: {why}", throttle_duration_sec=5.0)
             return
-        phase = self._oscillator.phase(ns)
         if phase != self._said:  # once a tick, however often the clock is told
-            self._said = self._message.data = phase
-            self._publisher.publish(self._message)
+            self._said = phase
+            self._publisher.publish(wire.pack_phase(phase))
 
     def finish(self, spin: Callable[[], None]) -> None:
         """Nothing to bring home."""

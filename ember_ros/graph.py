@@ -85,8 +85,8 @@ class Graph:
             context = rclpy.Context()
             rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
         self._context = context
+        self._executor = EventsExecutor(context=context)
         try:
-            self._executor = EventsExecutor(context=context)
             for name, options in node_options(plan).items():
                 make = LegNode if name.startswith("leg_") else {
                     "table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode
@@ -135,8 +135,10 @@ class Graph:
     def close(self) -> None:
         """Destroy all nodes."""
         for node in self.nodes.values():
+            self._executor.remove_node(node)  # or it would keep their endpoints alive
             node.destroy_node()
         self.nodes.clear()
+        self._executor.shutdown()
         if self._own_context:
             self._context.try_shutdown()
 

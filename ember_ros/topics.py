@@ -70,9 +70,9 @@ class Topic(NamedTuple):
         """Return a new publisher of ``node``."""
         return node.create_publisher(self.type, self.name, self.qos)
 
-    def subscribe(self, node: Node, hear: Callable[[Any], None]) -> Subscription:
-        """Return a new subscription of ``node``."""
-        return node.create_subscription(self.type, self.name, hear, self.qos)
+    def subscribe(self, node: Node, hear: Callable[[bytes], None]) -> Subscription:
+        """Return a new subscription of ``node`` that hears serialized messages."""
+        return node.create_subscription(self.type, self.name, hear, self.qos, raw=True)
 
 
 class Service(NamedTuple):

@@ -1,36 +1,44 @@
 """The only conversion between messages and signals. It changes no bit of any number.
 
-Writers fill one message over and over; readers refuse what does not carry what it should with a
-``SignalError`` that names what, where, and what would be right.
+What is said every tick travels as bytes: publishers here write CDR themselves, subscriptions are
+raw, and a message that looks byte for byte as our own writers make it, numbers apart, is read with
+one ``struct`` call. That is four times as fast as filling and building message objects. Any other
+message of the same type, from ``ros2 topic pub`` or a real leg's driver, takes the way through
+rclpy's deserializer and is held to the same rules.
+
+Readers refuse what does not carry what it should with a ``SignalError`` that names what, where,
+and what would be right.
 """
 
 from __future__ import annotations
 
 import math
+import struct
 from array import array
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
 
 from ember_ros.errors import PushError, SignalError
 from ember_ros.signals import LegCommand, LegSense, Pair, Phase
 from leg_node.shared import Changes, Push
 from leg_node.table import as_floats, as_ints
 
-JOINTS = ["hip", "knee"]
-CONTACT = ["slip", "inclination", "hair", "touch", "restart", "load", "load_peak"]
+JOINTS = ("hip", "knee")
+CONTACT = ("slip", "inclination", "hair", "touch", "restart", "load", "load_peak")
 """What ``<leg>/contact`` names. The first five are in ``position``: m, rad, and three bits as 0 or
-1; ``load`` and ``load_peak`` are in ``effort``: N, mean and largest of the tick."""
-BITS = (0.0, 1.0)
+1; ``load`` and ``load_peak`` are in ``effort``: N, mean and largest of the tick. The rest is 0."""
 GIGA = 1_000_000_000
+CDR = b"\x00\x01\x00\x00"
+"""The four bytes before every message: plain CDR, little endian."""
 
-
-def stamp_ns(stamp: Any) -> int:
-    """Return a stamp in ns."""
-    return int(stamp.sec) * GIGA + int(stamp.nanosec)
+Bytes = bytes | bytearray | memoryview
 
 
 def set_stamp(stamp: Any, ns: int) -> None:
@@ -38,134 +46,275 @@ def set_stamp(stamp: Any, ns: int) -> None:
     stamp.sec, stamp.nanosec = divmod(ns, GIGA)
 
 
-def tick_of(stamp: Any, tick_ns: int, where: str) -> int:
-    """Return the tick a stamp names.
+def _deserialize(data: Bytes, kind: Any, where: str) -> Any:
+    try:
+        return deserialize_message(bytes(data), kind)
+    except Exception as error:  # rclpy raises its own RCLError and RuntimeError
+        raise SignalError(f"{where}: {len(data)} bytes are no {kind.__name__}") from error
+
+
+def tick_of(ns: int, tick_ns: int, where: str) -> int:
+    """Return the tick that a stamp names.
 
     Raises:
         SignalError: the stamp lies between ticks or before the start.
     """
-    tick, rest = divmod(stamp_ns(stamp), tick_ns)
+    tick, rest = divmod(ns, tick_ns)
     if rest or tick < 0:
         raise SignalError(
-            f"{where}: stamp {stamp_ns(stamp)} ns is no multiple of the tick length {tick_ns} ns; "
+            f"{where}: stamp {ns} ns is no multiple of the tick length {tick_ns} ns from 0 up; "
             "do all nodes have the same gait.period and gait.ticks?"
         )
     return tick
 
 
-def phase_tick(phase: Phase, ticks: int, where: str) -> int:
-    """Return the tick a phase names.
+# -- clock and phase -------------------------------------------------------------------------
+
+_CLOCK = struct.Struct("<4siI")
+_PHASE = struct.Struct("<4sd")
+
+
+def pack_clock(ns: int) -> bytes:
+    """Return a rosgraph_msgs/Clock."""
+    return _CLOCK.pack(CDR, *divmod(ns, GIGA))
+
+
+def read_clock(data: Bytes, where: str) -> int:
+    """Return the time in a rosgraph_msgs/Clock, ns.
+
+    Raises:
+        SignalError: it is no clock, or before the start.
+    """
+    if len(data) == _CLOCK.size and data[:4] == CDR:
+        _, sec, nanosec = _CLOCK.unpack(data)
+    else:
+        clock = _deserialize(data, Clock, where).clock
+        sec, nanosec = clock.sec, clock.nanosec
+    if sec < 0:
+        raise SignalError(f"{where}: {sec} s is before the start")
+    return int(sec * GIGA + nanosec)
+
+
+def pack_phase(phase: Phase) -> bytes:
+    """Return a std_msgs/Float64."""
+    return _PHASE.pack(CDR, phase)
+
+
+def read_phase(data: Bytes, ticks: int, where: str) -> tuple[int, Phase]:
+    """Return the tick that a std_msgs/Float64 names as phase, and the phase.
 
     Raises:
         SignalError: it is not finite, under 0, or between ticks.
     """
+    if len(data) == _PHASE.size and data[:4] == CDR:
+        _, phase = _PHASE.unpack(data)
+    else:
+        phase = _deserialize(data, Float64, where).data
     tick = phase * ticks
     if not 0.0 <= tick < 2.0**53 or tick != int(tick):
         raise SignalError(f"{where}: {phase!r} is no phase; a multiple of 1/{ticks} from 0 up is")
-    return int(tick)
+    return int(tick), phase
 
 
-def _check(message: JointState, names: list[str], fields: Sequence[str], where: str) -> None:
-    if message.name != names:
-        raise SignalError(f"{where}: joint names {list(message.name)}; {names} would be right")
-    for field in fields:
-        numbers = getattr(message, field)
-        if len(numbers) != len(names):
+# -- joint states ----------------------------------------------------------------------------
+
+
+def _padded(data: bytes, size: int) -> bytes:
+    """Return data filled with zeros to a multiple of ``size``: CDR aligns every number."""
+    return data + bytes(-len(data) % size)
+
+
+def _string(data: bytes, text: str) -> bytes:
+    """Return data with a CDR string behind it."""
+    coded = text.encode() + b"\0"
+    return _padded(data, 4) + struct.pack("<I", len(coded)) + coded
+
+
+class Stamped(NamedTuple):
+    """The numbers of one sensor_msgs/JointState."""
+
+    ns: int
+    first: tuple[float, ...]
+    second: tuple[float, ...]
+
+
+class JointWire:
+    """A sensor_msgs/JointState of fixed names, two of its three arrays in use."""
+
+    FIELDS = ("position", "velocity", "effort")
+
+    def __init__(self, frame: str, names: Sequence[str], first: str, second: str) -> None:
+        """Lay the message out.
+
+        Args:
+            frame: ``header.frame_id``.
+            names: of the joints.
+            first: of ``FIELDS``, the array in use.
+            second: the other one, behind ``first`` in ``FIELDS``.
+        """
+        self.names, self.first, self.second = list(names), first, second
+        n = len(self.names)
+        # Offsets count from behind the encapsulation; the stamp's 8 bytes come first.
+        data = _string(bytes(8), frame)
+        data = _padded(data, 4) + struct.pack("<I", n)
+        for name in names:
+            data = _string(data, name)
+        form, constants, done = "<4siI", [], 8
+        for field in self.FIELDS:
+            used = field in (first, second)
+            data = _padded(data, 4) + struct.pack("<I", n if used else 0)
+            if used:
+                data = _padded(data, 8)
+                constants.append(data[done:])
+                form += f"{len(constants[-1])}s{n}d"
+                data += bytes(8 * n)
+                done = len(data)
+        self._between, self._behind, rest = constants[0], constants[1], data[done:]
+        self._rest = rest
+        self._struct = struct.Struct(f"{form}{len(rest)}s")
+        self._n = n
+
+    def pack(self, ns: int, first: Sequence[float], second: Sequence[float]) -> bytes:
+        """Return the message with a stamp of ``ns`` and these numbers, one a name."""
+        return self._struct.pack(
+            CDR, *divmod(ns, GIGA), self._between, *first, self._behind, *second, self._rest
+        )
+
+    def read(self, data: Bytes, where: str) -> Stamped:
+        """Return the numbers in a message.
+
+        Raises:
+            SignalError: it is no JointState, has other names or lengths, or is not finite.
+        """
+        n = self._n
+        if len(data) == self._struct.size:
+            parts = self._struct.unpack(data)
+            if (
+                parts[0] == CDR
+                and parts[3] == self._between
+                and parts[4 + n] == self._behind
+                and parts[-1] == self._rest
+            ):
+                stamped = Stamped(
+                    parts[1] * GIGA + parts[2], parts[4 : 4 + n], parts[5 + n : 5 + 2 * n]
+                )
+                total = sum(stamped.first) + sum(stamped.second)
+                if total - total == 0.0:
+                    return stamped
+        return self._read_slowly(data, where)
+
+    def _read_slowly(self, data: Bytes, where: str) -> Stamped:
+        """Read a message that others made, or say what is wrong with it."""
+        message = _deserialize(data, JointState, where)
+        if list(message.name) != self.names:
             raise SignalError(
-                f"{where}: {len(numbers)} numbers in {field}; {len(names)}, one a name, "
-                "would be right"
+                f"{where}: joint names {list(message.name)}; {self.names} would be right"
             )
-        total = sum(numbers)
-        if total - total != 0.0:  # infinite or NaN
-            raise SignalError(f"{where}: {field} {list(numbers)} is not finite")
+        numbers = []
+        for field in (self.first, self.second):
+            numbers.append(tuple(getattr(message, field)))
+            if len(numbers[-1]) != self._n:
+                raise SignalError(
+                    f"{where}: {len(numbers[-1])} numbers in {field}; {self._n}, one a name, "
+                    "would be right"
+                )
+            if not all(map(math.isfinite, numbers[-1])):
+                raise SignalError(f"{where}: {field} {list(numbers[-1])} is not finite")
+        stamp = message.header.stamp
+        return Stamped(stamp.sec * GIGA + stamp.nanosec, *numbers)
 
 
-class SenseWriter:
-    """Fills the two messages in which a leg's senses travel."""
+class SenseWire:
+    """The two messages in which a leg's senses travel."""
 
     def __init__(self, leg: str, tick_ns: int) -> None:
-        """Make the messages of ``leg``."""
-        self._tick_ns = tick_ns
-        self.joints = JointState(
-            name=JOINTS, position=array("d", [0.0] * 2), velocity=array("d", [0.0] * 2)
-        )
-        self.contact = JointState(
-            name=CONTACT, position=array("d", [0.0] * 7), effort=array("d", [0.0] * 7)
-        )
-        self.joints.header.frame_id = f"{leg}_thigh"
-        self.contact.header.frame_id = f"{leg}_foot"
+        """Lay out the messages of ``leg``."""
+        self._leg, self._tick_ns = leg, tick_ns
+        self._joints = JointWire(f"{leg}_thigh", JOINTS, "position", "velocity")
+        self._contact = JointWire(f"{leg}_foot", CONTACT, "position", "effort")
 
-    def fill(self, sense: LegSense) -> None:
-        """Write ``sense`` into ``joints`` and ``contact``."""
+    def pack(self, sense: LegSense) -> tuple[bytes, bytes]:
+        """Return ``<leg>/joint_states`` and ``<leg>/contact``."""
         ns = sense.tick * self._tick_ns
-        set_stamp(self.joints.header.stamp, ns)
-        set_stamp(self.contact.header.stamp, ns)
-        position, velocity = self.joints.position, self.joints.velocity
-        position[0], position[1] = sense.hip, sense.knee
-        velocity[0], velocity[1] = sense.hip_speed, sense.knee_speed
-        felt, effort = self.contact.position, self.contact.effort
-        felt[0], felt[1] = sense.slip, sense.inclination
-        felt[2], felt[3], felt[4] = sense.hair, sense.contact, sense.restart
-        effort[5], effort[6] = sense.force_mean, sense.force_peak
+        joints = self._joints.pack(
+            ns, (sense.hip, sense.knee), (sense.hip_speed, sense.knee_speed)
+        )
+        contact = self._contact.pack(
+            ns,
+            (sense.slip, sense.inclination, sense.hair, sense.contact, sense.restart, 0.0, 0.0),
+            (0.0, 0.0, 0.0, 0.0, 0.0, sense.force_mean, sense.force_peak),
+        )
+        return joints, contact
+
+    def read_joints(self, data: Bytes) -> tuple[int, Stamped]:
+        """Return the tick and the numbers of a ``<leg>/joint_states``.
+
+        Raises:
+            SignalError: it does not carry what it should.
+        """
+        where = f"{self._leg}/joint_states"
+        stamped = self._joints.read(data, where)
+        return tick_of(stamped.ns, self._tick_ns, where), stamped
+
+    def read_contact(self, data: Bytes) -> tuple[int, Stamped]:
+        """Return the tick and the numbers of a ``<leg>/contact``.
+
+        Raises:
+            SignalError: it does not carry what it should.
+        """
+        where = f"{self._leg}/contact"
+        stamped = self._contact.read(data, where)
+        for name, bit in zip(CONTACT[2:5], stamped.first[2:5], strict=True):
+            if bit not in (0.0, 1.0):
+                raise SignalError(f"{where}: {name} is {bit}; 0 or 1 would be right")
+        return tick_of(stamped.ns, self._tick_ns, where), stamped
+
+    @staticmethod
+    def sense(tick: int, joints: Stamped, contact: Stamped) -> LegSense:
+        """Return the senses in the numbers of one tick's two messages."""
+        slip, inclination, hair, touch, restart = contact.first[:5]
+        return LegSense(
+            tick,
+            *joints.first,
+            *joints.second,
+            *contact.second[5:],
+            inclination,
+            slip,
+            hair == 1.0,
+            touch == 1.0,
+            restart == 1.0,
+        )
 
 
-def check_joints(message: JointState, where: str) -> None:
-    """Raise a SignalError unless this is a ``<leg>/joint_states`` message."""
-    _check(message, JOINTS, ("position", "velocity"), where)
-
-
-def check_contact(message: JointState, where: str) -> None:
-    """Raise a SignalError unless this is a ``<leg>/contact`` message."""
-    _check(message, CONTACT, ("position", "effort"), where)
-    bits = message.position[2:5]
-    if any(bit not in BITS for bit in bits):
-        raise SignalError(f"{where}: hair, touch, restart are {list(bits)}; each must be 0 or 1")
-
-
-def read_sense(tick: int, joints: JointState, contact: JointState) -> LegSense:
-    """Return the senses in two checked messages of one tick."""
-    hip, knee = joints.position
-    hip_speed, knee_speed = joints.velocity
-    slip, inclination, hair, touch, restart = contact.position[:5]
-    load, peak = contact.effort[5:]
-    return LegSense(
-        tick, hip, knee, hip_speed, knee_speed, load, peak, inclination, slip,
-        hair == 1.0, touch == 1.0, restart == 1.0,
-    )  # fmt: skip
-
-
-class CommandWriter:
-    """Fills the message in which a leg's command travels."""
+class CommandWire:
+    """The message in which a leg's command travels."""
 
     def __init__(self, leg: str, tick_ns: int) -> None:
-        """Make the message of ``leg``."""
-        self._tick_ns = tick_ns
-        self.message = JointState(
-            name=JOINTS, velocity=array("d", [0.0] * 2), effort=array("d", [0.0] * 2)
+        """Lay out the message of ``leg``."""
+        self._leg, self._tick_ns = leg, tick_ns
+        self._wire = JointWire(f"{leg}_thigh", JOINTS, "velocity", "effort")
+
+    def pack(self, command: LegCommand) -> bytes:
+        """Return ``<leg>/command``."""
+        return self._wire.pack(
+            command.tick * self._tick_ns,
+            (command.hip_speed, command.knee_speed),
+            (command.hip_torque, command.knee_torque),
         )
-        self.message.header.frame_id = f"{leg}_thigh"
 
-    def fill(self, command: LegCommand) -> None:
-        """Write ``command`` into ``message``."""
-        set_stamp(self.message.header.stamp, command.tick * self._tick_ns)
-        speed, torque = self.message.velocity, self.message.effort
-        speed[0], speed[1] = command.hip_speed, command.knee_speed
-        torque[0], torque[1] = command.hip_torque, command.knee_torque
+    def read(self, data: Bytes) -> LegCommand:
+        """Return the command in a message.
 
-
-def read_command(message: JointState, tick_ns: int, where: str) -> LegCommand:
-    """Return the command in a message.
-
-    Raises:
-        SignalError: wrong names or lengths, not finite, a torque under 0, or between ticks.
-    """
-    _check(message, JOINTS, ("velocity", "effort"), where)
-    tick = tick_of(message.header.stamp, tick_ns, where)
-    hip_speed, knee_speed = message.velocity
-    hip_torque, knee_torque = message.effort
-    if hip_torque < 0.0 or knee_torque < 0.0:
-        raise SignalError(f"{where}: torques {hip_torque}, {knee_torque} N m must be 0 or more")
-    return LegCommand(tick, hip_speed, knee_speed, hip_torque, knee_torque)
+        Raises:
+            SignalError: it does not carry what it should, or a torque is under 0.
+        """
+        where = f"{self._leg}/command"
+        stamped = self._wire.read(data, where)
+        if min(stamped.second) < 0.0:
+            raise SignalError(f"{where}: torques {stamped.second} N m must be 0 or more")
+        return LegCommand(
+            tick_of(stamped.ns, self._tick_ns, where), *stamped.first, *stamped.second
+        )
 
 
 # -- the table's services --------------------------------------------------------------------
@@ -271,7 +420,7 @@ def read_pull(request: GetParameters.Request) -> tuple[int | None, int | None, l
 
 
 def answer_pull(
-    wanted: Sequence[str], changes: Changes, about: str
+    wanted: Sequence[str], changes: Changes, about: Callable[[], str]
 ) -> list[ParameterValue]:
     """Return one value a wanted name, in order."""
     out = []
@@ -287,7 +436,7 @@ def answer_pull(
             numbers = changes.cells if key == "cells" else changes.visits
             out.append(_value(_INTS, array("q", numbers.tobytes())))
         else:
-            out.append(_value(_STR, about))
+            out.append(_value(_STR, about()))
     return out
 
 

@@ -39,14 +39,19 @@ class Inbox:
 
         What is of earlier ticks goes; what is of later ones stays.
         """
-        if any(tick not in heard for heard in self._heard.values()):
-            return None
-        values = tuple(heard[tick] for heard in self._heard.values())
+        values = []
+        for heard in self._heard.values():
+            if tick not in heard:
+                return None
+            values.append(heard[tick])
         self.last = tick
         for heard in self._heard.values():
-            for old in [t for t in heard if t <= tick]:
-                del heard[old]
-        return values
+            if len(heard) == 1:
+                heard.clear()
+            else:
+                for old in [t for t in heard if t <= tick]:
+                    del heard[old]
+        return tuple(values)
 
     def later(self, source: str) -> list[int]:
         """Return the ticks after the last complete one of which ``source`` was heard."""

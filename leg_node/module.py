@@ -12,7 +12,7 @@ from ember_ros.params import Learning, Params, cells_sha256
 from ember_ros.randomness import generator
 from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense, Pair, Phase
 from leg_node.gait import LegGait
-from leg_node.policy import POLICIES, EpsilonGreedy, Policy, Random, Scripted, Situation
+from leg_node.policy import POLICIES, EpsilonGreedy, Policy, Random, Scripted
 from leg_node.reading import PlainReading
 from leg_node.reward import Rewarder
 from leg_node.shared import LocalCopy
@@ -106,7 +106,7 @@ class LegModule:
         state = self._partition.index(sense, stance)
         if self.learning and not sense.restart:
             self._learn(sense, state)
-        action = self._policy.choose(Situation(sense, phase, state))
+        action = self._policy.choose(sense, phase, state)
         self._pending = _Pending(sense.tick, state, action, stance)
         return self._command(sense, phase, action)
 

@@ -11,8 +11,6 @@ from typing import Any
 
 from rclpy.node import Node
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
 
 from ember_ros import topics, wire
 from ember_ros.errors import ParameterError, PushError, SignalError
@@ -77,9 +75,10 @@ class LegNode(Node):  # type: ignore[misc]
         )
         self.refused = 0
         leg = self.module.leg
-        self._tick_ns, self._ticks = params.gait.tick_ns, params.gait.ticks
+        self._ticks = params.gait.ticks
         self._inbox = Inbox("joints", "contact", "phase")
-        self._writer = wire.CommandWriter(leg, self._tick_ns)
+        self._senses = wire.SenseWire(leg, params.gait.tick_ns)
+        self._commands = wire.CommandWire(leg, params.gait.tick_ns)
         self._logged = -LOG_EVERY_S
         # What a tick waits for: an answer of the table. None when it waits for nothing.
         self._waiting: Callable[[], None] | None = None
@@ -107,31 +106,25 @@ class LegNode(Node):  # type: ignore[misc]
             self._logged = now
             self.get_logger().warning(f"refused ({self.refused} so far): {why}")
 
-    def _hear_joints(self, message: JointState) -> None:
-        self._hear("joints", message, wire.check_joints)
+    def _hear_joints(self, data: bytes) -> None:
+        self._hear("joints", data, self._senses.read_joints)
 
-    def _hear_contact(self, message: JointState) -> None:
-        self._hear("contact", message, wire.check_contact)
+    def _hear_contact(self, data: bytes) -> None:
+        self._hear("contact", data, self._senses.read_contact)
 
-    def _hear(
-        self, source: str, message: JointState, check: Callable[[JointState, str], None]
-    ) -> None:
-        where = f"{self.module.leg} {source}"
+    def _hear_phase(self, data: bytes) -> None:
+        self._hear("phase", data, self._read_phase)
+
+    def _read_phase(self, data: bytes) -> tuple[int, Phase]:
+        return wire.read_phase(data, self._ticks, topics.PHASE.name)
+
+    def _hear(self, source: str, data: bytes, read: Callable[[bytes], tuple[int, Any]]) -> None:
         try:
-            check(message, where)
-            tick = wire.tick_of(message.header.stamp, self._tick_ns, where)
+            tick, value = read(data)
         except SignalError as why:
             self._refuse(why)
         else:
-            self._put(source, tick, message)
-
-    def _hear_phase(self, message: Float64) -> None:
-        try:
-            tick = wire.phase_tick(message.data, self._ticks, "cpg/phase")
-        except SignalError as why:
-            self._refuse(why)
-        else:
-            self._put("phase", tick, message.data)
+            self._put(source, tick, value)
 
     def _put(self, source: str, tick: int, value: Any) -> None:
         last = self._inbox.last
@@ -151,7 +144,7 @@ class LegNode(Node):  # type: ignore[misc]
         values = self._inbox.take(tick)
         if values is not None:
             joints, contact, phase = values
-            self._begin(wire.read_sense(tick, joints, contact), phase)
+            self._begin(self._senses.sense(tick, joints, contact), phase)
 
     # -- one tick ----------------------------------------------------------------------------
 
@@ -191,8 +184,7 @@ class LegNode(Node):  # type: ignore[misc]
             self._wait(lambda: self._say(command))
 
     def _say(self, command: LegCommand) -> None:
-        self._writer.fill(command)
-        self._command.publish(self._writer.message)
+        self._command.publish(self._commands.pack(command))
         for tick in self._inbox.later("phase"):  # what came while this tick waited
             if self._waiting is None:
                 self._look(tick)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -15,18 +15,10 @@ from leg_node.reading import Reading
 POLICIES = ("learned", "scripted", "random")
 
 
-class Situation(NamedTuple):
-    """What a leg knows when it has to choose."""
-
-    sense: LegSense
-    phase: Phase
-    state: int
-
-
 class Policy(Protocol):
     """Chooses an action."""
 
-    def choose(self, situation: Situation) -> int:
+    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
         """Return the position of the knee speed in ``leg.knee_speeds``."""
         ...
 
@@ -49,6 +41,7 @@ class EpsilonGreedy:
         """Choose among ``actions`` by ``reading``, exploring as ``learning`` says."""
         self._reading, self._learning, self._rng = reading, learning, rng
         self._actions, self._ticks = actions, ticks
+        self._epsilon: float | None = None
 
     def epsilon(self, tick: int) -> float:
         """Return the share of random actions at a tick: linear in cycles, then constant."""
@@ -56,12 +49,14 @@ class EpsilonGreedy:
         done = min(1.0, tick // self._ticks / learning.epsilon_cycles)
         return learning.epsilon_start + done * (learning.epsilon_end - learning.epsilon_start)
 
-    def choose(self, situation: Situation) -> int:
+    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
         """Return the best action, or any with probability epsilon."""
-        tick, rng = situation.sense.tick, self._rng
-        if rng.random() < self.epsilon(tick):
+        rng = self._rng
+        if sense.tick % self._ticks == 0 or self._epsilon is None:
+            self._epsilon = self.epsilon(sense.tick)
+        if rng.random() < self._epsilon:
             return int(rng.integers(self._actions))
-        row = self._reading.row(tick, situation.state)
+        row = self._reading.row(sense.tick, state)
         best = max(row)
         if row.count(best) == 1:
             return row.index(best)
@@ -76,7 +71,7 @@ class Random:
         """Draw among ``actions`` from ``rng``."""
         self._actions, self._rng = actions, rng
 
-    def choose(self, situation: Situation) -> int:
+    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
         """Return any action."""
         return int(self._rng.integers(self._actions))
 
@@ -98,9 +93,8 @@ class Scripted:
         self._ahead = self.REACH_TICKS / params.gait.ticks
         self._front = params.gait.hip_front
 
-    def choose(self, situation: Situation) -> int:
+    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
         """Return the speed nearest to what brings the knee where it should be in a tick."""
-        sense, phase = situation.sense, situation.phase
         pitch = sense.inclination + sense.knee - sense.hip
         height = self._leg.operating_height
         if self._gait.stance(phase):

@@ -87,7 +87,7 @@ class TableNode(Node):  # type: ignore[misc]
             self._refuse(why)
             return response  # empty: all this type has to say no with
         changes = self.shared.pull(since, upto)
-        response.values = wire.answer_pull(wanted, changes, self._about())
+        response.values = wire.answer_pull(wanted, changes, self._about)
         return response
 
     def _about(self) -> str:

@@ -13,9 +13,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Int64
+from std_msgs.msg import Int64
 
 from ember_ros import topics, wire
 from ember_ros.errors import SignalError
@@ -85,8 +83,8 @@ class SimNode(Node):  # type: ignore[misc]
         self._said: dict[str, float] = {}
         self._falls = -1
 
-        self._clock_publisher, self._clock_message = topics.CLOCK.publish(self), Clock()
-        self._writers = [wire.SenseWriter(leg, self._tick_ns) for leg in self.legs]
+        self._clock_publisher = topics.CLOCK.publish(self)
+        self._wires = [wire.SenseWire(leg, self._tick_ns) for leg in self.legs]
         self._joints = [topics.joint_states(leg).publish(self) for leg in self.legs]
         self._contacts = [topics.contact(leg).publish(self) for leg in self.legs]
         self._falls_publisher = topics.FALLS.publish(self)
@@ -119,24 +117,24 @@ class SimNode(Node):  # type: ignore[misc]
             self._said[matter] = now
             self.get_logger().warning(text)
 
-    def _hear_phase(self, message: Float64) -> None:
+    def _hear_phase(self, data: bytes) -> None:
         try:
-            tick = wire.phase_tick(message.data, self._ticks, "cpg/phase")
+            tick, phase = wire.read_phase(data, self._ticks, topics.PHASE.name)
         except SignalError as why:
             self._refuse(why)
             return
         if tick == self._tick and self._started:
-            self._phase = message.data
+            self._phase = phase
             self._step_if_complete()
         elif tick > self._tick:
             self._refuse(f"cpg/phase: tick {tick} is not yet, now is {self._tick}")
 
-    def _listener(self, leg: str) -> Callable[[JointState], None]:
-        where = f"{leg}/command"
+    def _listener(self, leg: str) -> Callable[[bytes], None]:
+        where, reader = f"{leg}/command", wire.CommandWire(leg, self._tick_ns)
 
-        def hear(message: JointState) -> None:
+        def hear(data: bytes) -> None:
             try:
-                command = wire.read_command(message, self._tick_ns, where)
+                command = reader.read(data)
             except SignalError as why:
                 self._refuse(why)
                 return
@@ -163,14 +161,13 @@ class SimNode(Node):  # type: ignore[misc]
         self._phase = None
         self._commands.clear()
         ns = self._tick * self._tick_ns
-        for writer, sense, joints, contact in zip(
-            self._writers, self.world.observe(), self._joints, self._contacts, strict=True
+        for sense_wire, sense, joints, contact in zip(
+            self._wires, self.world.observe(), self._joints, self._contacts, strict=True
         ):
-            writer.fill(sense)
-            joints.publish(writer.joints)
-            contact.publish(writer.contact)
-        wire.set_stamp(self._clock_message.clock, ns)
-        self._clock_publisher.publish(self._clock_message)
+            joints_data, contact_data = sense_wire.pack(sense)
+            joints.publish(joints_data)
+            contact.publish(contact_data)
+        self._clock_publisher.publish(wire.pack_clock(ns))
         body = self.world.body()
         if body.falls != self._falls:
             if body.falls > max(self._falls, 0):
