@@ -16,27 +16,25 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ember_ros.errors import GraphError
-from ember_ros.params import Params, as_dict
+from ember_ros.params import as_dict
+from ember_ros.params_file import dump_params
 from ember_ros.plan import Plan
 from ember_ros.spinning import TURN_S, prepare_environment
 
-Progress = Callable[[int, int], bool]
-"""Called now and then with cycles done and falls; returns whether to go on."""
-
-START_S = 30.0
-"""Wall time a graph may take to come up."""
 STOP_S = 5.0
 """Wall time a process may take to stop before it is killed."""
 
 
-def node_options(plan: Plan) -> dict[str, dict[str, Any]]:
+def node_options(plan: Plan, out: Path | None) -> dict[str, dict[str, Any]]:
     """Return the options of every node of a plan, by the node's name; ``leg_<leg>`` for legs."""
-    table = str(plan.table) if plan.table else ""
     nodes: dict[str, dict[str, Any]] = {
-        "table_node": {"stage": plan.stage, "table": table, "seed": plan.seed},
+        "table_node": {
+            "stage": plan.stage,
+            "table": str(plan.table) if plan.table else "",
+            "save": str(out / "table.npz") if out else "",
+            "seed": plan.seed,
+        },
         "cpg_node": {},
     }
     for leg in plan.legs:
@@ -47,7 +45,12 @@ def node_options(plan: Plan) -> dict[str, dict[str, Any]]:
             "policy": plan.policy,
             "learning": plan.learning,
         }
-    nodes["sim_node"] = {"world": plan.world, "cycles": plan.cycles, "seed": plan.seed}
+    nodes["sim_node"] = {
+        "world": plan.world,
+        "cycles": plan.cycles,
+        "seed": plan.seed,
+        "out": str(out) if out else "",
+    }
     return nodes
 
 
@@ -61,7 +64,7 @@ class Graph:
 
         Args:
             plan: what to run.
-            out: folder for ``cycles.csv``.
+            out: folder for the record and the table; nowhere for None.
             namespace: of all nodes: another one is another robot.
             context: an initialised rclpy context; one of its own for None.
 
@@ -86,13 +89,10 @@ class Graph:
             rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
         self._context = context
         self._executor = EventsExecutor(context=context)
+        makers = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
         try:
-            for name, options in node_options(plan).items():
-                make = LegNode if name.startswith("leg_") else {
-                    "table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode
-                }[name]
-                if name == "sim_node" and out is not None:
-                    options["out"] = str(out)
+            for name, options in node_options(plan, out).items():
+                make = makers.get(name, LegNode)
                 given = {
                     f"{group}.{field}": value
                     for group, numbers in as_dict(plan.params).items()
@@ -153,12 +153,6 @@ MODULES = {
 LEG_MODULE = "leg_node.node"
 
 
-def write_params(file: Path, params: Params) -> None:
-    """Write all parameters as a ROS parameter file."""
-    content = {"/**": {"ros__parameters": as_dict(params)}}
-    file.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-
-
 class Processes:
     """Each node of a plan in a process of its own, as seven ``ros2 run`` would start them."""
 
@@ -175,10 +169,8 @@ class Processes:
         self._logs = out / "log"
         self._logs.mkdir(parents=True, exist_ok=True)
         params = out / "params.yaml"
-        write_params(params, plan.params)
-        nodes = node_options(plan)
-        nodes["table_node"]["save"] = str(out / "table.npz")
-        nodes["sim_node"]["out"] = str(out)
+        params.write_text(dump_params(plan.params), encoding="utf-8")
+        nodes = node_options(plan, out)
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         try:
             for name, options in nodes.items():
@@ -230,15 +222,15 @@ class Processes:
         )
 
     def stop(self) -> None:
-        """Stop all in an order in which nothing learnt is lost: the table last."""
-        for name in sorted(self.processes, key=lambda n: (n == "table_node", n != "sim_node")):
-            process = self.processes[name]
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-            if name in ("sim_node", list(self.processes)[-1], "table_node"):
+        """Stop all in an order in which nothing learnt is lost: sim, legs, and the table last."""
+        legs = [name for name in self.processes if name.startswith("leg_")]
+        for group in (["sim_node"], [*legs, "cpg_node"], ["table_node"]):
+            started = [name for name in group if name in self.processes]
+            for name in started:
+                if self.processes[name].poll() is None:
+                    self.processes[name].send_signal(signal.SIGINT)
+            for name in started:
                 self._reap(name)
-        for name in self.processes:
-            self._reap(name)
 
     def _reap(self, name: str) -> None:
         process = self.processes[name]

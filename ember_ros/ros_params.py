@@ -33,7 +33,7 @@ OPTIONS = {
     "gui": Option(False, "show Bullet's window"),
     "cycles": Option(0, "cycles to run; 0: until stopped"),
     "patience": Option(1.0, "wall seconds to wait for a leg, s"),
-    "out": Option("", "folder for cycles.csv and measured.json; '' for none"),
+    "out": Option("", "folder for the record of the run; '' for none"),
     "seed": Option(0, "seed of the run; each drawer has its own generator"),
     "leg": Option("", "the leg that this node is", ()),
     "stage": Option("walk", "which learning numbers hold", ("walk", "train")),

@@ -7,6 +7,7 @@ walker: that is what lets a leg be trained on the one and used on the other (pap
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import math
 import os
 import sys
@@ -23,13 +24,16 @@ from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Send what C code prints to nowhere: importing pybullet announces its build time."""
+    flush = ctypes.CDLL(None).fflush  # C has a buffer of its own
     sys.stdout.flush()
+    flush(None)
     saved = os.dup(1)
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), 1)
     try:
         yield
     finally:
+        flush(None)
         os.dup2(saved, 1)
         os.close(saved)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
@@ -63,12 +62,13 @@ class SimNode(Node):  # type: ignore[misc]
         options = declare_options(
             self, ("world", "mode", "gui", "cycles", "patience", "out", "seed")
         )
-        self._out = Path(options["out"]) if options["out"] else None
         self.world = world or make_world(
             options["world"], params, options["seed"], gui=options["gui"]
         )
         self.legs = self.world.legs if world else legs_of(options["world"])
-        self.recorder = Recorder(params, self.legs, self._out)
+        self.recorder = Recorder(
+            params, self.legs, Path(options["out"]) if options["out"] else None
+        )
         self.refused = 0
         self._realtime = options["mode"] == "realtime"
         self._patience = options["patience"]
@@ -309,9 +309,6 @@ class SimNode(Node):  # type: ignore[misc]
     def finish(self, spin: Callable[[], None]) -> None:
         """End the record."""
         self.recorder.finish(self.world.observe(), self.world.body())
-        if self._out is not None:
-            text = json.dumps(self.recorder.summary(), indent=2)
-            (self._out / "measured.json").write_text(text + "\n", encoding="utf-8")
 
     def destroy_node(self) -> None:
         """Destroy the node and let go of the world."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ember_ros.report.recorder import Recorder, Row
+from ember_ros.report.recorder import Record, Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,10 +58,10 @@ def training(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
     axes[1].set_xlabel(f"steps (line: mean of {SMOOTH})")
 
 
-def walking(axes: Sequence[Axes], recorder: Recorder, ticks: int) -> None:
+def walking(axes: Sequence[Axes], record: Record, ticks: int) -> None:
     """Draw the body's path, and its roll and pitch while it walks (paper, figure 7)."""
-    traces = np.frombuffer(recorder.traces).reshape(-1, 4)
-    falls = sum(row.falls or 0 for row in recorder.body_rows())
+    traces = record.traces
+    falls = record.measured["falls"]
     cycles = len(traces) // ticks
     axes[0].plot(traces[:, 0], traces[:, 1], color=BLUE, linewidth=1.6)
     axes[0].plot(traces[:1, 0], traces[:1, 1], "o", color=INK)
@@ -85,8 +85,8 @@ def walking(axes: Sequence[Axes], recorder: Recorder, ticks: int) -> None:
 def draw(
     file: Path,
     *,
-    trained: Recorder | None = None,
-    walked: Recorder | None = None,
+    trained: Record | None = None,
+    walked: Record | None = None,
     ticks: int = 32,
 ) -> None:
     """Write a picture of what was trained, of what was walked, or of both.
@@ -97,7 +97,7 @@ def draw(
         walked: record of a walker.
         ticks: of a cycle.
     """
-    parts = [part for part in (trained, walked) if part is not None and part.traces]
+    parts = [part for part in (trained, walked) if part is not None and part.rows]
     if not parts:
         return
     figure, axes = _figure(2 * len(parts))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import json
 import math
 import statistics
 import struct
@@ -23,6 +24,9 @@ from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
 from leg_node.gait import LegGait
 from leg_node.reward import Rewarder
 
+CYCLES, MEASURED, TRACES = "cycles.csv", "measured.json", "traces.npy"
+"""The files of a record: lines a cycle, the summary, and the body's pose at every tick."""
+BODY = "body"
 WINDOW = 200
 """Cycles at the beginning and at the end that the summary speaks of."""
 
@@ -76,7 +80,8 @@ class Recorder:
         Args:
             params: for the reward and for the gait.
             legs: their names, in order.
-            folder: where ``cycles.csv`` grows line by line; nowhere for None.
+            folder: where ``cycles.csv`` grows line by line, and where ``finish`` writes
+                ``measured.json`` and ``traces.npy``; nowhere for None.
         """
         self.rows: list[Row] = []
         self.traces = array("d")
@@ -93,10 +98,11 @@ class Recorder:
         self._stances: list[bool] = []
         self._first_fall: int | None = None
         self._absences = dict.fromkeys(legs, 0)
+        self._folder = folder
         self._file: TextIO | None = None
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
-            self._file = (folder / "cycles.csv").open("w", newline="", encoding="utf-8")
+            self._file = (folder / CYCLES).open("w", newline="", encoding="utf-8")
             self._csv = csv.writer(self._file)
             self._csv.writerow(Row._fields)
 
@@ -127,9 +133,12 @@ class Recorder:
             if self._poses:
                 self._end_cycle()
             self._phase = None
-        if self._file is not None:
+        if self._file is not None and self._folder is not None:
             self._file.close()
             self._file = None
+            text = json.dumps(self.summary(), indent=2) + "\n"
+            (self._folder / MEASURED).write_text(text, encoding="utf-8")
+            np.save(self._folder / TRACES, np.frombuffer(self.traces).reshape(-1, 4))
 
     def _end_tick(self, senses: Sequence[LegSense], body: BodyState) -> None:
         """Credit what the senses say of the tick that just ended; end its cycle if it was last."""
@@ -163,7 +172,7 @@ class Recorder:
         rows.append(
             Row(
                 cycle,
-                "body",
+                BODY,
                 max(row.peak_force_n for row in rows),
                 sum(row.reward for row in rows) / n,
                 sum(row.contact_share for row in rows) / n,
@@ -204,6 +213,30 @@ class Recorder:
             "commands_sha256": self._commands_hash.hexdigest(),
             "senses_sha256": self._senses_hash.hexdigest(),
         }
+
+
+class Record(NamedTuple):
+    """A finished record, as it lies in its folder."""
+
+    rows: list[Row]
+    traces: np.ndarray[Any, np.dtype[np.float64]]
+    """x, y (m), roll and pitch (rad) of the body at each tick, ``(ticks, 4)``."""
+    measured: dict[str, Any]
+
+    def body_rows(self) -> list[Row]:
+        """Return the body's lines, one a cycle."""
+        return [row for row in self.rows if row.module == BODY]
+
+
+def load_record(folder: Path) -> Record:
+    """Read the record of a finished run."""
+    with (folder / CYCLES).open(newline="", encoding="utf-8") as file:
+        rows = [
+            Row(int(line[0]), line[1], *(float(x) if x else None for x in line[2:]))  # type: ignore[arg-type]
+            for line in list(csv.reader(file))[1:]
+        ]
+    measured = json.loads((folder / MEASURED).read_text(encoding="utf-8"))
+    return Record(rows, np.load(folder / TRACES, allow_pickle=False), measured)
 
 
 def _mean(values: Iterable[float | None]) -> float | None:

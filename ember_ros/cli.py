@@ -1,0 +1,314 @@
+"""``ember``: train a leg, let four of them walk, see what came of it, measure the speed."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table as Grid
+
+import ember_ros
+from ember_ros.errors import EmberError, ParameterError
+from ember_ros.params import SPECS, Params
+from ember_ros.params_file import dump_params, load_params
+from ember_ros.plan import Plan
+from ember_ros.run import SUMMARY, TABLE, WAYS, GoOn, run
+from ember_ros.spinning import Stop, stop_signals
+
+INTERRUPTED = 130  # the shell's code for an end by Ctrl-C
+
+console = Console(highlight=False)
+
+
+class _Group(click.Group):
+    """Says errors of ours in one line, with exit code 2, as click does its own."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except EmberError as error:
+            click.echo(f"error: {error}", err=True)
+            ctx.exit(2)
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(ember_ros.__version__, prog_name="ember_ros")
+def main() -> None:
+    """Legs that learn to walk, each a module of its own, on a ROS 2 graph.
+
+    A leg learns alone on the trainer (`ember train`); four legs with what it learnt carry a body
+    and go on learning (`ember walk`). `ember demo` does both and draws a picture.
+
+    After Jacob, Polani and Nehaniv, "Legs that can walk" (2005).
+    """
+
+
+def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
+    """Add the options that `train` and `walk` share."""
+
+    def add(command: Any) -> Any:
+        for option in (
+            click.option(
+                "--force", is_flag=True, help="Replace an earlier run in --out instead of refusing."
+            ),
+            click.option(
+                "--on",
+                "way",
+                type=click.Choice(WAYS),
+                default=way,
+                show_default=True,
+                help="loop: no ROS, fastest. graph: all nodes in this process. processes: one "
+                "process a node. All three end with the same bits.",
+            ),
+            click.option(
+                "--policy",
+                type=click.Choice(["learned", "scripted", "random"]),
+                default="learned",
+                show_default=True,
+                help="How the knee is chosen; scripted and random are baselines.",
+            ),
+            click.option(
+                "--learn/--freeze",
+                "learning",
+                default=None,
+                help="Whether the table changes. Default: it does with --policy learned.",
+            ),
+            click.option(
+                "--table",
+                type=click.Path(path_type=Path),
+                help="Start from this table.npz instead of from nothing.",
+            ),
+            click.option(
+                "--params",
+                "params_file",
+                type=click.Path(path_type=Path),
+                help="A ROS parameter file (section /**); `ember params` prints one.",
+            ),
+            click.option(
+                "--out",
+                type=click.Path(path_type=Path, file_okay=False),
+                default=out,
+                show_default=True,
+                help="Folder for table.npz, cycles.csv, summary.json and run.png.",
+            ),
+            click.option("--seed", type=int, default=0, show_default=True, help="Of the run."),
+            click.option(
+                "--cycles",
+                type=int,
+                default=cycles,
+                show_default=True,
+                help="Cycles of the pattern generator: steps of each leg.",
+            ),
+        ):
+            command = option(command)
+        return command
+
+    return add
+
+
+@main.command()
+@_options(cycles=6000, out="out/train", way="loop")
+def train(**options: Any) -> None:
+    """Train one leg on the cantilever trainer.
+
+    \b
+    ember train                              6000 steps, about half a minute
+    ember train --seed 3 --out out/seed3     another one
+    ember walk --table out/train/table.npz   let four such legs walk
+    """
+    _run("trainer", **options)
+
+
+@main.command()
+@_options(cycles=300, out="out/walk", way="graph")
+def walk(**options: Any) -> None:
+    """Let four legs carry a body, still learning.
+
+    \b
+    ember walk --table out/train/table.npz   legs that a trainer has taught
+    ember walk                               legs that know nothing yet
+    ember walk --policy scripted             a knee written by hand
+    ember walk --on processes --table ...    seven processes
+    """
+    _run("walker", **options)
+
+
+def _run(
+    world: str,
+    *,
+    cycles: int,
+    seed: int,
+    out: Path,
+    params_file: Path | None,
+    table: Path | None,
+    learning: bool | None,
+    policy: str,
+    way: str,
+    force: bool,
+) -> None:
+    plan = Plan(
+        world,
+        cycles,
+        seed=seed,
+        params=load_params(params_file) if params_file else Params(),
+        policy=policy,
+        learning=policy == "learned" if learning is None else learning,
+        table=table,
+    )
+    kept = [name for name in (SUMMARY, TABLE) if (out / name).exists()]
+    if kept and not force:
+        raise ParameterError(
+            f"{out} holds an earlier run ({', '.join(kept)}); give another --out, or --force to "
+            "replace it"
+        )
+    with stop_signals() as stop:
+        record, summary = _show(plan, way, out, stop)
+        _draw(out / "run.png", plan, **{"trained" if world == "trainer" else "walked": record})
+    console.print(_grid({"walked" if world == "walker" else "trained": summary}))
+    console.print(f"In {out}: table.npz, cycles.csv, summary.json, run.png")
+    if not summary["complete"]:
+        _end_early(summary, out)
+
+
+def _show(plan: Plan, way: str, out: Path, stop: Stop) -> tuple[Any, dict[str, Any]]:
+    """Run a plan behind a progress bar."""
+    label = "walking" if plan.world == "walker" else "training"
+    with _progress(f"{label} ({way})", plan.cycles, stop) as go_on:
+        return run(plan, way, out, go_on, shlex.join(["ember", *sys.argv[1:]]))
+
+
+def _draw(file: Path, plan: Plan, **records: Any) -> None:
+    from ember_ros.report import figures
+
+    figures.draw(file, ticks=plan.params.gait.ticks, **records)
+
+
+def _end_early(summary: dict[str, Any], out: Path) -> None:
+    console.print(
+        f"Stopped after {summary['cycles']} cycles; what was learnt is in {out / TABLE}."
+    )
+    sys.exit(INTERRUPTED)
+
+
+@contextmanager
+def _progress(label: str, cycles: int, stop: Stop) -> Iterator[GoOn]:
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("cycles, {task.fields[falls]} falls"),
+        TimeRemainingColumn(),
+        console=console,
+    ) as bar:
+        task = bar.add_task(label, total=cycles, falls=0)
+
+        def go_on(done: int, falls: int) -> bool:
+            bar.update(task, completed=done, falls=falls)
+            return not stop.asked
+
+        yield go_on
+        if not stop.asked:
+            bar.update(task, completed=cycles)
+
+
+def _number(value: float | None, form: str = ".3f") -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _grid(summaries: dict[str, dict[str, Any]]) -> Grid:
+    """Lay summaries out side by side for the terminal."""
+    grid = Grid(show_header=len(summaries) > 1, box=None, padding=(0, 2, 0, 0))
+    grid.add_column("")
+    for name in summaries:
+        grid.add_column(name, justify="right")
+    lines: list[tuple[str, Callable[[dict[str, Any]], str]]] = [
+        ("cycles", lambda s: str(s["cycles"])),
+        ("falls", lambda s: "-" if s["world"] == "trainer" else str(s["falls"])),
+        ("distance a cycle, first, m", lambda s: _number(s["first"]["distance_per_cycle_m"])),
+        ("distance a cycle, last, m", lambda s: _number(s["last"]["distance_per_cycle_m"])),
+        ("stance contact, last", lambda s: _number(s["last"]["contact_share"], ".0%")),
+        ("peak force, first, N", lambda s: _number(s["first"]["peak_force_n"], ".0f")),
+        ("peak force, last, N", lambda s: _number(s["last"]["peak_force_n"], ".0f")),
+        ("ticks a second", lambda s: _number(s["ticks_per_s"], ".0f")),
+        ("table SHA-256", lambda s: s["table_sha256"][:12]),
+        ("commands SHA-256", lambda s: s["commands_sha256"][:12]),
+        ("senses SHA-256", lambda s: s["senses_sha256"][:12]),
+    ]
+    for label, show in lines:
+        grid.add_row(label, *(show(summary) for summary in summaries.values()))
+    return grid
+
+
+@main.command()
+@click.option("--cycles", type=int, default=6000, show_default=True, help="On the trainer.")
+@click.option("--walk-cycles", type=int, default=300, show_default=True, help="On the body.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of both runs.")
+@click.option(
+    "--params", "params_file", type=click.Path(path_type=Path), help="A ROS parameter file."
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default="out/demo",
+    show_default=True,
+    help="Folder for both runs and demo.png; an earlier demo there is replaced.",
+)
+def demo(
+    cycles: int, walk_cycles: int, seed: int, params_file: Path | None, out: Path
+) -> None:
+    """Train a leg, attach four to a body, walk on the ROS graph, draw it all.
+
+    The leg learns alone with the direct loop; then four nodes with its table carry the body on a
+    live graph, and go on learning.
+    """
+    params = load_params(params_file) if params_file else Params()
+    training = Plan("trainer", cycles, seed=seed, params=params)
+    walking = Plan(
+        "walker", walk_cycles, seed=seed, params=params, table=out / "train" / TABLE
+    )
+    with stop_signals() as stop:
+        trained, first = _show(training, "loop", out / "train", stop)
+        summaries, records = {"one leg, trainer": first}, {"trained": trained}
+        if not stop.asked:
+            walked, second = _show(walking, "graph", out / "walk", stop)
+            summaries["four legs, body"], records["walked"] = second, walked
+        _draw(out / "demo.png", training, **records)
+    console.print(_grid(summaries))
+    console.print(f"The picture is {out / 'demo.png'}; the runs are in {out}/train and {out}/walk.")
+    last = list(summaries.values())[-1]
+    if stop.asked:
+        _end_early(last, out / ("walk" if len(summaries) > 1 else "train"))
+
+
+@main.command("params")
+@click.option("--describe", is_flag=True, help="Say unit, range and meaning instead of YAML.")
+def params_command(describe: bool) -> None:
+    """Print every parameter, as a file to edit or as a list to read.
+
+    \b
+    ember params > mine.yaml
+    ember walk --params mine.yaml
+    ros2 run ember_ros sim_node --ros-args --params-file mine.yaml
+    """
+    if not describe:
+        click.echo(dump_params(Params()), nl=False)
+        return
+    grid = Grid(box=None, padding=(0, 2, 0, 0))
+    for column in ("name", "default", "unit", "range", "meaning"):
+        grid.add_column(column, overflow="fold")
+    for name, spec in SPECS.items():
+        default = spec.default
+        shown = ", ".join(map(str, default)) if isinstance(default, tuple) else str(default)
+        grid.add_row(name, shown, spec.unit, f"{spec.low:g} to {spec.high:g}", spec.doc)
+    console.print(grid)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,49 @@
+"""Parameter files: ROS 2's own format, so that one file serves ``ember`` and ``ros2 run``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ember_ros.errors import ParameterError
+from ember_ros.params import Params, as_dict, replace
+
+SECTION = "/**"
+NUMBERS = "ros__parameters"
+
+
+def load_params(file: Path) -> Params:
+    """Read a parameter file: its section ``/**``.
+
+    Raises:
+        ParameterError: it is missing, no YAML, of another form, or names or values are wrong.
+    """
+    right = f"`{SECTION}: {{{NUMBERS}: {{group: {{name: value}}}}}}` would be right"
+    try:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"cannot read the parameter file {file}: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ParameterError(f"{file} is no YAML: {error}") from error
+    if not isinstance(content, dict) or set(content) != {SECTION}:
+        raise ParameterError(f"{file}: {right}; sections for single nodes are read by nodes only")
+    section = content[SECTION]
+    if not isinstance(section, dict) or set(section) != {NUMBERS}:
+        raise ParameterError(f"{file}: {right}")
+    changes: dict[str, Any] = {}
+    for group, fields in (section[NUMBERS] or {}).items():
+        if isinstance(fields, dict):
+            changes.update({f"{group}.{name}": value for name, value in fields.items()})
+        else:  # also written as one dotted name, as `ros2 param dump` does not but people do
+            changes[str(group)] = fields
+    try:
+        return replace(Params(), changes)
+    except ParameterError as error:
+        raise ParameterError(f"{file}: {error}") from error
+
+
+def dump_params(params: Params) -> str:
+    """Return the text of a parameter file with every number."""
+    return yaml.safe_dump({SECTION: {NUMBERS: as_dict(params)}}, sort_keys=False)

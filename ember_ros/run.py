@@ -1,0 +1,175 @@
+"""Run a plan in one of three ways, and leave the same files behind.
+
+========  ==============================================
+way       what runs
+========  ==============================================
+loop      no ROS: the direct loop
+graph     all nodes in this process
+processes one process a node, as seven ``ros2 run`` would
+========  ==============================================
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import ember_ros
+from ember_ros.errors import EmberError, ParameterError
+from ember_ros.params import params_sha256
+from ember_ros.plan import Plan
+from ember_ros.report.recorder import BODY, CYCLES, Record, Recorder, load_record
+from leg_node.table import load_table, save_table
+
+WAYS = ("loop", "graph", "processes")
+TABLE, SUMMARY = "table.npz", "summary.json"
+
+GoOn = Callable[[int, int], bool]
+"""Told now and then of cycles done and falls; says whether to go on."""
+
+
+def run(plan: Plan, way: str, out: Path, go_on: GoOn, command: str) -> tuple[Record, dict[str, Any]]:
+    """Run a plan to its end, or until ``go_on`` says no, and write what came of it.
+
+    Writes ``table.npz``, ``cycles.csv``, ``traces.npy`` and ``summary.json`` into ``out``.
+
+    Args:
+        plan: what to run.
+        way: one of ``WAYS``.
+        out: a folder, made if need be.
+        go_on: progress and stop.
+        command: what was typed, for the summary.
+
+    Returns:
+        The record and the summary.
+
+    Raises:
+        EmberError: a parameter, the table or the graph is not as it should be.
+    """
+    if plan.table:
+        load_table(plan.table, plan.params)  # say what is wrong with it before anything starts
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ParameterError(f"cannot make the folder {out}: {error.strerror}") from error
+    for name in (SUMMARY, CYCLES):  # the summary is there again when all is done
+        (out / name).unlink(missing_ok=True)
+    began = time.perf_counter()
+    {"loop": _loop, "graph": _graph, "processes": _processes}[way](plan, out, go_on)
+    wall = time.perf_counter() - began
+    record = load_record(out)
+    ticks = len(record.traces)
+    summary = {
+        "command": command,
+        "on": way,
+        "world": plan.world,
+        "policy": plan.policy,
+        "learning": plan.learning,
+        "seed": plan.seed,
+        "start_table": str(plan.table) if plan.table else None,
+        **record.measured,
+        "complete": ticks == plan.cycles * plan.params.gait.ticks,
+        "table_sha256": load_table(out / TABLE, plan.params)[0].sha256(),
+        "params_sha256": params_sha256(plan.params),
+        "wall_s": round(wall, 3),
+        "ticks_per_s": round(ticks / wall, 1),
+        "versions": versions(),
+    }
+    (out / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    return record, summary
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what a run's bits depend on."""
+    found = {"ember_ros": ember_ros.__version__, "python": platform.python_version()}
+    for name in ("numpy", "pybullet", "rclpy"):
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def _loop(plan: Plan, out: Path, go_on: GoOn) -> None:
+    from ember_ros.loop import Loop
+
+    loop = Loop(plan)
+    recorder = Recorder(plan.params, plan.legs, out)
+    try:
+        for cycle in range(plan.cycles):
+            if not go_on(cycle, loop.world.body().falls):
+                break
+            for _ in range(plan.params.gait.ticks):
+                loop.tick(recorder)
+    finally:
+        save_table(out / TABLE, loop.finish(), plan.params, plan.seed)
+        recorder.finish(loop.world.observe(), loop.world.body())
+        loop.close()
+
+
+def _graph(plan: Plan, out: Path, go_on: GoOn) -> None:
+    try:
+        from ember_ros.graph import Graph
+
+        graph = Graph(plan, out)
+    except ModuleNotFoundError as error:
+        raise _no_ros(error) from error
+    try:
+        tally = _Tally(out / CYCLES)
+        graph.run(lambda: go_on(*tally.read()))
+    finally:
+        graph.close()
+
+
+def _processes(plan: Plan, out: Path, go_on: GoOn) -> None:
+    try:
+        import rclpy  # noqa: F401  say it here, not in seven logs
+
+        from ember_ros.graph import processes
+    except ModuleNotFoundError as error:
+        raise _no_ros(error) from error
+    tally = _Tally(out / CYCLES)
+    with processes(plan, out) as running:
+        running.wait(lambda: go_on(*tally.read()))
+
+
+def _no_ros(error: ModuleNotFoundError) -> EmberError:
+    if error.name and error.name.split(".")[0] in ("ember_ros", "leg_node", "sim_node", "cpg_node"):
+        raise error
+    return ParameterError(
+        f"ROS 2 is not here ({error}): `pip install 'ember_ros[ros]'`, or source an installed "
+        "Jazzy; `--on loop` needs none"
+    )
+
+
+class _Tally:
+    """Counts cycles and falls in a record that is growing."""
+
+    EVERY_S = 0.1
+
+    def __init__(self, file: Path) -> None:
+        """Begin at the start of ``file``, which need not be there yet."""
+        self._file, self._at, self._next = file, 0, 0.0
+        self._cycles = self._falls = 0
+
+    def read(self) -> tuple[int, int]:
+        """Return cycles and falls so far."""
+        now = time.monotonic()
+        if now >= self._next and self._file.exists():
+            self._next = now + self.EVERY_S
+            with self._file.open("rb") as file:
+                file.seek(self._at)
+                fresh = file.read()
+            whole = fresh[: fresh.rfind(b"\n") + 1]
+            self._at += len(whole)
+            for line in whole.decode().splitlines():
+                cells = line.split(",")
+                if cells[1] == BODY:
+                    self._cycles += 1
+                    self._falls += int(cells[-1])
+        return self._cycles, self._falls
