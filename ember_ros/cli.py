@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import sys
 from collections.abc import Callable, Iterator
@@ -285,6 +286,49 @@ def demo(
     last = list(summaries.values())[-1]
     if stop.asked:
         _end_early(last, out / ("walk" if len(summaries) > 1 else "train"))
+
+
+@main.command()
+@click.option("--cycles", type=int, default=100, show_default=True, help="Of each walk.")
+@click.option("--repeats", type=int, default=5, show_default=True, help="Turns; medians count.")
+@click.option(
+    "--params", "params_file", type=click.Path(path_type=Path), help="A ROS parameter file."
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default="out/bench",
+    show_default=True,
+    help="Folder for bench.json.",
+)
+def bench(cycles: int, repeats: int, params_file: Path | None, out: Path) -> None:
+    """Measure ticks a second and what a tick costs.
+
+    One walk is run by physics alone, the loop, the graph in one process and in seven, in turn and
+    over and over; medians and ratios within one turn are printed. The machine should be idle.
+    """
+    from ember_ros.bench import bench as measure
+
+    if cycles < 4 or repeats < 1:
+        raise ParameterError("--cycles must be 4 or more, --repeats 1 or more")
+    params = load_params(params_file) if params_file else Params()
+    with console.status("") as status:
+        found = measure(params, cycles=cycles, repeats=repeats, say=status.update)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "bench.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    grid = Grid(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for way, rate in found["ticks_per_s"].items():
+        grid.add_row(f"{way}", f"{rate:.0f} ticks/s")
+    grid.add_row("loop of physics alone", f"{found['loop_of_physics']:.0%}")
+    grid.add_row("graph in one process of loop", f"{found['graph_of_loop']:.0%}")
+    grid.add_row("processes", f"{found['processes_times_real_time']:.1f} times real time")
+    for part, cost in found["us_per_tick"].items():
+        grid.add_row(f"a tick: {part}", f"{cost:.0f} us")
+    grid.add_row(f"{found['training_cycles']} training cycles", f"{found['training_s']:.1f} s")
+    for when, size in found["table"].items():
+        grid.add_row(f"shared table, {when.replace('_', ' ')}", f"{size / 1e6:.2f} MB")
+    console.print(grid)
+    console.print(f"In {out}: bench.json")
 
 
 @main.command("params")

@@ -7,7 +7,6 @@ walker: that is what lets a leg be trained on the one and used on the other (pap
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import math
 import os
 import sys
@@ -15,6 +14,7 @@ import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from ember_ros import kinematics
 from ember_ros.params import Params
@@ -24,18 +24,15 @@ from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Send what C code prints to nowhere: importing pybullet announces its build time."""
-    flush = ctypes.CDLL(None).fflush  # C has a buffer of its own
-    sys.stdout.flush()
-    flush(None)
-    saved = os.dup(1)
     with open(os.devnull, "wb") as nowhere:
-        os.dup2(nowhere.fileno(), 1)
-    try:
-        yield
-    finally:
-        flush(None)
-        os.dup2(saved, 1)
-        os.close(saved)
+        sys.stderr.flush()
+        saved = os.dup(2)
+        os.dup2(nowhere.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
 
 
 with _quiet():
@@ -45,20 +42,24 @@ with _quiet():
 class _Mount:
     """One leg in Bullet: its indices there, and what its foot went through in this tick."""
 
-    __slots__ = ("at", "foot", "force", "hip", "inclination", "knee", "peak", "slide", "touched")
+    __slots__ = (
+        "foot", "force", "hip", "inclination", "knee", "peak", "seen", "slide_x", "slide_y",
+        "strength", "touched", "x", "y",
+    )  # fmt: skip
 
     def __init__(self, hip: int, knee: int, foot: int) -> None:
         self.hip, self.knee, self.foot = hip, knee, foot
-        self.at: tuple[float, float] | None = None
-        """Where the foot touched the ground in the last physics step, m; None in the air."""
+        self.seen = -1
+        """The physics step in which the foot last touched the ground, there at ``x``, ``y``, m."""
+        self.x = self.y = 0.0
+        self.strength = 0.0
+        """The force in that step, N."""
         self.inclination = 0.0
         self.clear()
 
     def clear(self) -> None:
         """Begin a tick."""
-        self.force = 0.0
-        self.peak = 0.0
-        self.slide = (0.0, 0.0)
+        self.force = self.peak = self.slide_x = self.slide_y = 0.0
         self.touched = 0
 
 
@@ -127,6 +128,13 @@ class BulletWorld(ABC):
     def observe(self) -> tuple[LegSense, ...]:
         """Return what each leg senses at the present tick; calling twice gives the same."""
         return self._senses
+
+    def coast(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
+        """Advance by one tick and sense nothing: what physics alone costs, for benchmarks."""
+        self._set_motors(commands)
+        self._drive(phase)
+        for _ in range(self.params.physics.substeps):
+            bullet.stepSimulation(self._client)
 
     def step(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
         """Advance by one tick; a leg with ``None`` holds both its joints still."""
@@ -216,6 +224,7 @@ class BulletWorld(ABC):
             bullet.resetJointState(self._robot, mount.knee, knee, physicsClientId=client)
         self._prepare()
         self._body_touched = False
+        self._steps = 0
         self._senses = self._sense(restart=self._tick > 0)
 
     @property
@@ -254,14 +263,14 @@ class BulletWorld(ABC):
 
     # -- senses ------------------------------------------------------------------------------
 
-    def _feel(self, contacts: Sequence[tuple]) -> None:  # type: ignore[type-arg]
+    def _feel(self, contacts: Sequence[tuple[Any, ...]]) -> None:
         """Take in the contacts of one physics step.
 
         A foot is a sphere on flat ground: the point of contact moves as the foot's middle does,
         so its way while in contact is how far the foot slid, but for rolling.
         """
+        now = self._steps = self._steps + 1
         by_link = self._by_link
-        felt = set()
         for contact in contacts:
             mount = by_link.get(contact[3])
             if mount is None:
@@ -271,20 +280,19 @@ class BulletWorld(ABC):
             force = contact[9]
             if force <= 0.0:
                 continue
-            felt.add(contact[3])
             mount.force += force
-            if force > mount.peak:
-                mount.peak = force
-            x, y, _ = contact[5]
-            if mount.at is not None:
-                before, slide = mount.at, mount.slide
-                mount.slide = (slide[0] + x - before[0], slide[1] + y - before[1])
-            mount.at = (x, y)
-            mount.touched += 1
-        if len(felt) < len(self._mounts):
-            for link, mount in by_link.items():
-                if link not in felt:
-                    mount.at = None
+            if mount.seen == now:  # a second point, one step in a hundred: only its force counts
+                mount.strength += force
+            else:
+                mount.strength = force
+                x, y, _ = contact[5]
+                if mount.seen == now - 1:
+                    mount.slide_x += x - mount.x
+                    mount.slide_y += y - mount.y
+                mount.seen, mount.x, mount.y = now, x, y
+                mount.touched += 1
+            if mount.strength > mount.peak:
+                mount.peak = mount.strength
 
     def _sense(self, *, restart: bool) -> tuple[LegSense, ...]:
         """Read all sensors."""
@@ -307,7 +315,7 @@ class BulletWorld(ABC):
                 rolled = radius * turned
                 forward_x, forward_y = 1.0 - 2.0 * (x * x + z * z), 2.0 * (w * z - x * y)
                 slip = math.hypot(
-                    mount.slide[0] + rolled * forward_x, mount.slide[1] + rolled * forward_y
+                    mount.slide_x + rolled * forward_x, mount.slide_y + rolled * forward_y
                 )
             mount.inclination = inclination
             senses.append(
@@ -322,7 +330,7 @@ class BulletWorld(ABC):
                     inclination,
                     slip,
                     foot[4][2] - radius < params.leg.hair_length,
-                    mount.at is not None,
+                    mount.seen == self._steps,
                     restart,
                 )
             )

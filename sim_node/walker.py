@@ -42,7 +42,6 @@ class WalkerWorld(BulletWorld):
 
     def _prepare(self) -> None:
         self._low = 0
-        self._turn = 0.0
         self._body = self._read_body()
 
     def _drive(self, phase: Phase) -> None:
@@ -55,11 +54,12 @@ class WalkerWorld(BulletWorld):
         after = phase + 1.0 / gait.ticks - walker.twist_phase
         angle = -walker.twist_amplitude * math.cos(math.tau * after)
         joint = self._joints["twist"]
+        turn = bullet.getJointState(self._robot, joint, self._client)[0]
         bullet.setJointMotorControl2(
             self._robot,
             joint,
             bullet.VELOCITY_CONTROL,
-            targetVelocity=(angle - self._turn) / gait.tick_s,
+            targetVelocity=(angle - turn) / gait.tick_s,
             force=walker.twist_torque,
             physicsClientId=self._client,
         )
@@ -67,9 +67,10 @@ class WalkerWorld(BulletWorld):
     def _read_body(self) -> BodyState:
         client = self._client
         front, (x, y, z, w) = bullet.getBasePositionAndOrientation(self._robot, client)
-        rear = bullet.getLinkState(self._robot, self._joints["twist"], physicsClientId=client)[0]
-        self._turn = bullet.getJointState(self._robot, self._joints["twist"], client)[0]
-        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)) + self._turn / 2.0
+        twist = self._joints["twist"]
+        rear = bullet.getLinkState(self._robot, twist, physicsClientId=client)[0]
+        turn = bullet.getJointState(self._robot, twist, client)[0]
+        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)) + turn / 2.0
         pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         return BodyState(

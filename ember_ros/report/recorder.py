@@ -91,6 +91,7 @@ class Recorder:
         self._gaits = [LegGait(params.gait, leg) for leg in legs]
         self._rewarder = Rewarder(params)
         self._senses_hash, self._commands_hash = hashlib.sha256(), hashlib.sha256()
+        self._senses, self._commands = bytearray(), bytearray()  # of this cycle, to be hashed
         self._sums = [_Sums() for _ in legs]
         self._phase: Phase | None = None
         self._poses: list[BodyState] = []  # at the start of each tick of this cycle
@@ -116,8 +117,8 @@ class Recorder:
         """Take one complete tick: what was sensed at it, and what was commanded for it."""
         self._end_tick(senses, body)
         for sense, command in zip(senses, commands, strict=True):
-            self._senses_hash.update(_SENSE.pack(*sense))
-            self._commands_hash.update(_COMMAND.pack(*command) if command else _NO_COMMAND)
+            self._senses += _SENSE.pack(*sense)
+            self._commands += _COMMAND.pack(*command) if command else _NO_COMMAND
         if None in commands:
             for leg, command in zip(self._legs, commands, strict=True):
                 self._absences[leg] += command is None
@@ -189,6 +190,10 @@ class Recorder:
         if self._file is not None:
             self._csv.writerows(rows)
             self._file.flush()
+        self._senses_hash.update(self._senses)
+        self._commands_hash.update(self._commands)
+        self._senses.clear()
+        self._commands.clear()
         self._poses = []
         self._sums = [_Sums() for _ in self._legs]
 

@@ -1,0 +1,228 @@
+"""What a tick costs, and where: measured, never asserted.
+
+All ways of running one and the same walk are measured in turn, over and over, so that a machine
+that slows down slows all of them; what is quoted are medians, and ratios within one turn.
+"""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ember_ros import wire
+from ember_ros.graph import Graph, processes
+from ember_ros.loop import Loop
+from ember_ros.params import Params, cells_sha256
+from ember_ros.plan import Plan, make_world
+from ember_ros.report.recorder import Recorder
+from ember_ros.run import TABLE, versions
+from ember_ros.signals import BodyState, LegCommand, LegSense, Pair, Phase
+from leg_node.shared import Push, SharedTable
+from leg_node.table import empty_table, save_table
+
+TRAINING_CYCLES = 6000
+EPOCHS = 10_000
+Say = Callable[[str], None]
+
+
+class _Tape:
+    """Keeps a run's signals, to be used again."""
+
+    def __init__(self) -> None:
+        self.ticks: list[tuple[Phase, tuple[LegSense, ...], tuple[LegCommand, ...]]] = []
+
+    def tick(
+        self,
+        phase: Phase,
+        senses: Sequence[LegSense],
+        commands: Sequence[LegCommand | None],
+        body: BodyState,
+    ) -> None:
+        """Keep one tick."""
+        self.ticks.append((phase, tuple(senses), tuple(c for c in commands if c is not None)))
+
+
+def bench(params: Params, *, cycles: int, repeats: int, say: Say) -> dict[str, Any]:
+    """Measure everything and return it as plain numbers.
+
+    Args:
+        params: of the robot.
+        cycles: of each measured walk.
+        repeats: turns.
+        say: told what is being measured.
+    """
+    with tempfile.TemporaryDirectory(prefix="ember_ros_bench_") as name:
+        folder = Path(name)
+        say(f"training {TRAINING_CYCLES} cycles by the loop")
+        training_s = _train(params, folder / TABLE)
+        plan = Plan("walker", cycles, params=params, table=folder / TABLE)
+        tape, falls = _tape(plan)
+        ways: dict[str, Callable[[], float]] = {
+            "physics": lambda: _physics(plan, tape),
+            "loop": lambda: _loop(plan, record=False),
+            "loop, recorded": lambda: _loop(plan, record=True),
+            "graph": lambda: _graph(plan, None),
+            "processes": lambda: _processes(plan, folder / "processes"),
+            "conversion": lambda: _conversion(plan, tape),
+        }
+        times: dict[str, list[float]] = {way: [] for way in ways}
+        for turn in range(repeats):
+            for way, measure in ways.items():
+                say(f"turn {turn + 1} of {repeats}: {way}")
+                times[way].append(measure())
+    say(f"the table over {EPOCHS} epochs")
+    ticks = cycles * params.gait.ticks
+    cost = {way: 1e6 * statistics.median(t) / ticks for way, t in times.items()}
+    real_time = 1.0 / params.gait.tick_s
+
+    def ratio(of: str, to: str) -> float:
+        return statistics.median(b / a for a, b in zip(times[of], times[to], strict=True))
+
+    return {
+        "cycles": cycles,
+        "repeats": repeats,
+        "falls": falls,
+        "ticks_per_s": {way: 1e6 / us for way, us in cost.items() if way != "conversion"},
+        "loop_of_physics": ratio("loop", "physics"),
+        "graph_of_loop": ratio("graph", "loop"),
+        "processes_times_real_time": 1e6 / cost["processes"] / real_time,
+        "us_per_tick": {
+            "physics": cost["physics"],
+            "sensing and learning": cost["loop"] - cost["physics"],
+            "recording": cost["loop, recorded"] - cost["loop"],
+            "message conversion": cost["conversion"],
+            "executor and transport": cost["graph"] - cost["loop, recorded"] - cost["conversion"],
+        },
+        "training_cycles": TRAINING_CYCLES,
+        "training_s": training_s,
+        "table": _table_memory(params),
+        "versions": versions(),
+    }
+
+
+def _train(params: Params, file: Path) -> float:
+    plan = Plan("trainer", TRAINING_CYCLES, params=params)
+    loop, recorder = Loop(plan), Recorder(params, plan.legs)
+    began = time.perf_counter()
+    for _ in range(plan.cycles * params.gait.ticks):
+        loop.tick(recorder)
+    took = time.perf_counter() - began
+    save_table(file, loop.finish(), params, plan.seed)
+    loop.close()
+    return took
+
+
+def _tape(plan: Plan) -> tuple[_Tape, int]:
+    tape, loop = _Tape(), Loop(plan)
+    for _ in range(plan.cycles * plan.params.gait.ticks):
+        loop.tick(tape)
+    falls = loop.world.body().falls
+    loop.close()
+    return tape, falls
+
+
+def _physics(plan: Plan, tape: _Tape) -> float:
+    """Drive the motors as the loop did, and sense nothing."""
+    world: Any = make_world(plan.world, plan.params, plan.seed)
+    began = time.perf_counter()
+    for phase, _, commands in tape.ticks:
+        world.coast(phase, commands)
+    took = time.perf_counter() - began
+    world.close()
+    return took
+
+
+def _loop(plan: Plan, *, record: bool) -> float:
+    loop = Loop(plan)
+    recorder = Recorder(plan.params, plan.legs) if record else None
+    began = time.perf_counter()
+    for _ in range(plan.cycles * plan.params.gait.ticks):
+        loop.tick(recorder)
+    took = time.perf_counter() - began
+    loop.close()
+    return took
+
+
+def _graph(plan: Plan, out: Path | None) -> float:
+    graph = Graph(plan, out)
+    while not graph.sim.recorder.traces:  # up to the first tick: matching is not a tick's cost
+        graph.spin_once()
+    began = time.perf_counter()
+    while not graph.sim.done:
+        graph.spin_once()
+    took = time.perf_counter() - began
+    graph.close()
+    return took
+
+
+def _processes(plan: Plan, out: Path) -> float:
+    """Measure from the first whole cycle to the last: the start of seven Pythons is no tick."""
+    with processes(plan, out) as running:
+        marks: list[tuple[float, int]] = []
+
+        def watch() -> bool:
+            file = out / "cycles.csv"
+            lines = file.read_bytes().count(b"\n") if file.exists() else 0
+            done = max(0, lines - 1) // (len(plan.legs) + 1)
+            if done and (not marks or marks[-1][1] != done):
+                marks.append((time.perf_counter(), done))
+            return True
+
+        running.wait(watch)
+    (out / "cycles.csv").unlink()
+    (began, first), (ended, last) = marks[0], marks[-1]
+    return (ended - began) * plan.cycles / (last - first)
+
+
+def _conversion(plan: Plan, tape: _Tape) -> float:
+    """Write and read every message of every tick, and send none."""
+    gait = plan.params.gait
+    senses = [wire.SenseWire(leg, gait.tick_ns) for leg in plan.legs]
+    commands = [wire.CommandWire(leg, gait.tick_ns) for leg in plan.legs]
+    began = time.perf_counter()
+    for phase, felt, asked in tape.ticks:
+        ns = wire.read_clock(wire.pack_clock(felt[0].tick * gait.tick_ns), "clock")
+        told = wire.pack_phase(phase)
+        wire.read_phase(told, gait.ticks, "phase")
+        for sense_wire, command_wire, sense, command in zip(
+            senses, commands, felt, asked, strict=True
+        ):
+            joints, contact = sense_wire.pack(sense)
+            tick, first = sense_wire.read_joints(joints)
+            sense_wire.sense(tick, first, sense_wire.read_contact(contact)[1])
+            wire.read_phase(told, gait.ticks, "phase")
+            command_wire.read(command_wire.pack(command))
+    assert ns == (len(tape.ticks) - 1) * gait.tick_ns
+    return time.perf_counter() - began
+
+
+def _table_memory(params: Params) -> dict[str, int]:
+    """Push and pull for many epochs as four legs do, and see what the table's memory does."""
+    import tracemalloc
+
+    cells = cells_sha256(params)
+    shared = SharedTable(empty_table(params), cells=cells, floor=params.walk.alpha_floor)
+    ticks, size = params.gait.ticks, len(shared.table)
+    early = EPOCHS // 10
+    seen: dict[str, int] = {}
+    tracemalloc.start()
+    try:
+        for epoch in range(EPOCHS):
+            for leg in range(4):
+                start = 7919 * (4 * epoch + leg)
+                pairs = tuple(
+                    Pair(epoch * ticks + n, (start + 31 * n) % size, 1.0) for n in range(8)
+                )
+                push = Push(leg, f"run{epoch // 1000}", epoch, cells, pairs)
+                shared.push(wire.read_push(wire.write_push(push)))
+            for _ in range(4):
+                shared.pull(shared.version, epoch)
+            if epoch + 1 in (early, EPOCHS):
+                seen[f"bytes_after_{epoch + 1}_epochs"] = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    return seen

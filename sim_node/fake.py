@@ -1,0 +1,155 @@
+"""A world without physics, for tests: quick, exact, and responsive in every sense. Pure.
+
+Nothing has mass. The hips of all legs move forward together at the operating height and at the
+gait's own speed, whatever the legs do. Each joint follows the speed it is asked for at once and
+stops at its limit; torques are ignored. Everything else that a leg senses follows from where its
+own foot then is: a foot that would be under the ground is pressed on by a spring, and slides as
+far as it moves over the ground. No leg feels another.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+from ember_ros import kinematics
+from ember_ros.params import Params
+from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Phase
+
+SINK_A_LOAD = 0.01
+"""Depth under the ground at which a foot bears one load, m."""
+MOST_LOADS = 4.0
+"""Force of a foot that is any deeper, in loads: what lies below does not break."""
+
+
+class _Foot(NamedTuple):
+    """Where a leg's foot is in the plane of the leg, relative to its hip."""
+
+    ahead: float
+    """m"""
+    depth: float
+    """m under the ground; negative in the air"""
+
+
+class FakeWorld:
+    """Legs that are held at one height over ground that passes under them."""
+
+    def __init__(
+        self,
+        legs: Sequence[str] = LEGS,
+        params: Params | None = None,
+        *,
+        falls_at: Collection[int] = (),
+    ) -> None:
+        """Build the world at tick 0.
+
+        Args:
+            legs: their names, in the order of all sequences; any names, any number.
+            params: geometry, load and gait; the defaults for None.
+            falls_at: ticks at which all legs are found put back on their feet, after a fall in
+                the tick before.
+        """
+        self.legs = tuple(legs)
+        self.params = params or Params()
+        self._falls_at = frozenset(falls_at)
+        gait, leg = self.params.gait, self.params.leg
+        way = leg.operating_height * (math.tan(gait.hip_front) - math.tan(gait.hip_rear))
+        self._way_a_tick = way / round(gait.stance_share * gait.ticks)
+        # Stand with each foot under its hip, as the other worlds do.
+        shank = leg.shank_length - leg.foot_radius
+        rest = leg.operating_height - leg.foot_radius
+        hip = math.acos(
+            (rest**2 + leg.thigh_length**2 - shank**2) / (2.0 * rest * leg.thigh_length)
+        )
+        self._standing = (hip, kinematics.knee_for_height(leg, hip, leg.operating_height))
+        self.reset()
+
+    def reset(self) -> None:
+        """Put everything as it was at tick 0."""
+        self._tick = self._falls = 0
+        self._senses = self._stand(restart=False)
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to let go of."""
+
+    def observe(self) -> tuple[LegSense, ...]:
+        """Return what each leg senses at the present tick; calling twice gives the same."""
+        return self._senses
+
+    def body(self) -> BodyState:
+        """Return a body that moves evenly along x and never turns."""
+        height = self.params.leg.operating_height
+        return BodyState(self._tick * self._way_a_tick, 0.0, height, 0.0, 0.0, 0.0, self._falls)
+
+    def step(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
+        """Advance by one tick; a leg with ``None`` holds both its joints still."""
+        moved = tuple(
+            self._move(sense, command)
+            for sense, command in zip(self._senses, commands, strict=True)
+        )
+        self._tick += 1
+        self._senses = moved
+        if self._tick in self._falls_at:
+            self._falls += 1
+            self._senses = self._stand(restart=True)
+
+    def _stand(self, *, restart: bool) -> tuple[LegSense, ...]:
+        """Return the senses of legs that stand at rest."""
+        hip, knee = self._standing
+        foot = self._foot(hip, knee)
+        sense = self._sense(hip, knee, 0.0, 0.0, foot, foot, slip=0.0)
+        return (sense._replace(tick=self._tick, restart=restart),) * len(self.legs)
+
+    def _move(self, sense: LegSense, command: LegCommand | None) -> LegSense:
+        """Return what a leg senses after a tick with a command."""
+        tick_s, leg = self.params.gait.tick_s, self.params.leg
+        hip, knee = sense.hip, sense.knee
+        if command is not None:
+            hip = max(-math.pi, min(math.pi, hip + command.hip_speed * tick_s))
+            knee = max(0.0, min(leg.knee_max, knee + command.knee_speed * tick_s))
+        before, after = self._foot(sense.hip, sense.knee), self._foot(hip, knee)
+        slip = 0.0
+        if after.depth > 0.0:
+            slip = abs(after.ahead - before.ahead + self._way_a_tick)
+        hip_speed, knee_speed = (hip - sense.hip) / tick_s, (knee - sense.knee) / tick_s
+        return self._sense(hip, knee, hip_speed, knee_speed, before, after, slip=slip)
+
+    def _sense(
+        self,
+        hip: float,
+        knee: float,
+        hip_speed: float,
+        knee_speed: float,
+        before: _Foot,
+        after: _Foot,
+        *,
+        slip: float,
+    ) -> LegSense:
+        """Return a leg's senses at the next tick; ``before`` and ``after`` are the tick's ends."""
+        first, last = self._force(before), self._force(after)
+        return LegSense(
+            self._tick + 1,
+            hip,
+            knee,
+            hip_speed,
+            knee_speed,
+            (first + last) / 2.0,
+            max(first, last),
+            hip - knee,
+            slip,
+            -after.depth < self.params.leg.hair_length,
+            after.depth > 0.0,
+            False,
+        )
+
+    def _foot(self, hip: float, knee: float) -> _Foot:
+        leg, inclination = self.params.leg, hip - knee
+        shank = leg.shank_length - leg.foot_radius
+        ahead = leg.thigh_length * math.sin(hip) + shank * math.sin(inclination)
+        # One load deep where the leg should be, so that a foot that stands bears its share.
+        depth = kinematics.height(leg, knee, inclination) - leg.operating_height + SINK_A_LOAD
+        return _Foot(ahead, depth)
+
+    def _force(self, foot: _Foot) -> float:
+        return self.params.leg.load * min(MOST_LOADS, max(0.0, foot.depth / SINK_A_LOAD))

@@ -1,0 +1,255 @@
+"""What the ROS tests share: an own context in an own domain for each, and nothing left behind."""
+
+from __future__ import annotations
+
+import fcntl
+import functools
+import gc
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from hypothesis import settings
+
+from ember_ros.loop import Loop
+from ember_ros.plan import Plan
+from ember_ros.report.recorder import Recorder
+
+ROS = find_spec("rclpy") is not None
+SIM = find_spec("pybullet") is not None
+
+# The pure tests run without ROS; these cannot even be imported.
+collect_ignore = (
+    []
+    if ROS and SIM
+    else ["test_wire.py", "test_nodes.py", "test_graph.py", "test_processes.py", "test_installed.py"]
+)
+
+# The same examples every time; a slow machine fails no test.
+settings.register_profile("ember", deadline=None, derandomize=True)
+settings.load_profile("ember")
+
+DEADLINE_S = 60.0
+"""Wall time after which a condition is said not to come true. No test that passes waits for it."""
+DOMAINS = range(1, 101)
+
+
+def pytest_report_header() -> list[str]:
+    """Say which tests are left out, and why."""
+    return [f"left out, rclpy or pybullet is missing: {', '.join(collect_ignore)}"] * (
+        not (ROS and SIM)
+    )
+
+
+class Bits(NamedTuple):
+    """What two ways of running the same plan must agree in."""
+
+    table: str
+    senses: str
+    commands: str
+    falls: int
+
+
+@functools.cache
+def _by_loop(plan: Plan) -> Bits:
+    loop = Loop(plan)
+    try:
+        recorder = Recorder(plan.params, plan.legs)
+        for _ in range(plan.cycles * plan.params.gait.ticks):
+            loop.tick(recorder)
+        recorder.finish(loop.world.observe(), loop.world.body())
+        return bits_of(loop.finish().sha256(), recorder.summary())
+    finally:
+        loop.close()
+
+
+def bits_of(table_sha256: str, summary: dict[str, Any]) -> Bits:
+    """Return the bits of a run from its table and its summary."""
+    return Bits(
+        table_sha256, summary["senses_sha256"], summary["commands_sha256"], summary["falls"]
+    )
+
+
+@pytest.fixture
+def by_loop() -> Callable[[Plan], Bits]:
+    """Run a plan in the loop, the specification, once a session."""
+    return _by_loop
+
+
+@pytest.fixture
+def by_graph() -> Callable[[Any], Bits]:
+    """Return the bits of a ``Graph`` that has run."""
+
+    def bits(graph: Any) -> Bits:
+        return bits_of(
+            graph.nodes["table_node"].shared.table.sha256(), graph.sim.recorder.summary()
+        )
+
+    return bits
+
+
+# -- an own domain -----------------------------------------------------------------------------
+
+
+@contextmanager
+def _reserved_domain() -> Iterator[int]:
+    """Reserve a domain id that no other test on this machine has."""
+    folder = Path(f"/tmp/ember_ros_test_domains.{os.getuid()}")
+    folder.mkdir(exist_ok=True)
+    first = os.getpid() * 7 + _reserved_domain.__dict__.setdefault("count", 0)
+    _reserved_domain.__dict__["count"] += 1  # not the one just left: its goodbyes may still travel
+    for n in range(len(DOMAINS)):
+        domain = DOMAINS[(first + n) % len(DOMAINS)]
+        with (folder / str(domain)).open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield domain
+            return
+    raise RuntimeError("all domain ids are taken by other tests")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep discovery on this machine, and logs out of the user's home."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        patch.setenv("ROS_LOG_DIR", str(tmp_path_factory.mktemp("log")))
+        patch.delenv("ROS_LOCALHOST_ONLY", raising=False)
+        patch.delenv("ROS_STATIC_PEERS", raising=False)
+        yield
+
+
+def _children() -> set[str]:
+    """Return the ids of the living processes that this process started."""
+    return {
+        pid
+        for task in Path("/proc/self/task").iterdir()
+        for pid in (task / "children").read_text().split()
+    }
+
+
+class Ros:
+    """A context in a domain of its own, a node to look on from, and an executor for both."""
+
+    def __init__(self, domain: int) -> None:
+        """Initialise the context."""
+        import rclpy
+        from rclpy.experimental.events_executor import EventsExecutor
+        from rclpy.node import Node
+        from rclpy.signals import SignalHandlerOptions
+
+        self.domain = domain
+        self.context = rclpy.Context()
+        rclpy.init(
+            context=self.context,
+            domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self._executor = EventsExecutor(context=self.context)
+        self._nodes: list[Any] = []
+        self.node: Any = self.add(Node("onlooker", context=self.context))
+
+    def add(self, node: Any) -> Any:
+        """Spin ``node`` from now on, and destroy it in the end; return it."""
+        self._executor.add_node(node)
+        self._nodes.append(node)
+        return node
+
+    def remove(self, node: Any) -> None:
+        """Destroy ``node`` now."""
+        self._nodes.remove(node)
+        self._executor.remove_node(node)
+        node.destroy_node()
+
+    def spin_once(self, timeout: float = 0.02) -> None:
+        """Let one callback run, or wait a moment for one."""
+        self._executor.spin_once(timeout_sec=timeout)
+
+    def spin_until(
+        self, condition: Callable[[], Any], what: str, also: Callable[[float], None] | None = None
+    ) -> None:
+        """Spin until a condition holds; ``also`` is another executor's ``spin_once``."""
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline, f"did not come true: {what}"
+            if also is None:
+                self.spin_once()
+            else:
+                also(0.002)
+                self.spin_once(0.0)
+
+    def publisher(self, topic: Any, *, matched: bool = True) -> Any:
+        """Return a publisher of one of ``topics``, matched with a subscription."""
+        publisher = topic.publish(self.node)
+        if matched:
+            self.spin_until(publisher.get_subscription_count, f"{topic.name} is subscribed to")
+        return publisher
+
+    def messages(self, topic: Any, *, matched: bool = True) -> list[Any]:
+        """Subscribe to one of ``topics`` and return the list that its messages will be put in."""
+        from rclpy.qos import QoSProfile
+
+        heard: list[Any] = []
+        qos = QoSProfile(
+            depth=100_000, reliability=topic.qos.reliability, durability=topic.qos.durability
+        )
+        subscription = self.node.create_subscription(topic.type, topic.name, heard.append, qos)
+        if matched:
+            self.spin_until(
+                subscription.handle.get_publisher_count, f"{topic.name} is published"
+            )
+        return heard
+
+    def client(self, service: Any) -> Any:
+        """Return a client of one of ``topics``' services that is ready."""
+        client = service.call(self.node)
+        self.spin_until(client.service_is_ready, f"{service.name} is served")
+        return client
+
+    def call(
+        self, client: Any, request: Any, also: Callable[[float], None] | None = None
+    ) -> Any:
+        """Call a service and return its answer."""
+        future = client.call_async(request)
+        self.spin_until(future.done, f"{client.srv_name} answers", also)
+        return future.result()
+
+    def close(self) -> None:
+        """Destroy all, and hold that nothing is left in the context."""
+        for node in self._nodes[:0:-1]:
+            self.remove(node)
+        gc.collect()  # nodes whose constructor raised
+        left = set(self.node.get_node_names()) - {"onlooker"}
+        self.remove(self.node)
+        self._executor.shutdown()
+        self.context.try_shutdown()
+        assert not left, f"nodes left running: {left}"
+
+
+@contextmanager
+def _ros() -> Iterator[Ros]:
+    threads, children = set(threading.enumerate()), _children()
+    with _reserved_domain() as domain:
+        ros = Ros(domain)
+        try:
+            yield ros
+        finally:
+            ros.close()
+            left = set(threading.enumerate()) - threads
+            assert not left, f"threads left running: {left}"
+            assert _children() <= children, "processes left running"
+
+
+@pytest.fixture
+def ros() -> Iterator[Ros]:
+    """Give a test an rclpy context of its own, in a domain of its own."""
+    with _ros() as ros:
+        yield ros

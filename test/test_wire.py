@@ -1,0 +1,532 @@
+"""What ``wire`` writes, ROS reads as it was meant; what it reads is refused or keeps every bit."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import struct
+from array import array
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from ember_ros import wire
+from ember_ros.errors import PushError, SignalError
+from ember_ros.params import Params, cells_sha256
+from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense, Pair
+from leg_node.shared import Changes, Push, SharedTable
+from leg_node.table import Table, empty_table
+
+TICK_NS = 15_625_000
+TICKS = 32
+TINY = 5e-324
+"""The smallest subnormal double."""
+
+legs = st.sampled_from([*LEGS, TRAINER_LEG])
+ticks = st.integers(0, 2**36)  # the stamp's seconds are 31 bits
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+torques = st.floats(min_value=0.0, allow_nan=False, allow_infinity=False) | st.just(-0.0)
+not_finite = st.sampled_from([math.nan, math.inf, -math.inf])
+bits = st.booleans()
+senses = st.builds(LegSense, ticks, *[numbers] * 8, bits, bits, bits)
+commands = st.builds(LegCommand, ticks, numbers, numbers, torques, torques)
+int64 = st.integers(-(2**63), 2**63 - 1)
+pushes = st.builds(
+    Push,
+    int64,
+    st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40),
+    int64,
+    st.text("0123456789abcdef", max_size=64),
+    st.lists(st.builds(Pair, int64, int64, numbers), max_size=40).map(tuple),
+)
+
+EXTREME = LegSense(7, -0.0, TINY, -TINY, 1.7e308, -1.7e308, 2.2e-308, 1 / 3, 0.0, True, False, True)
+
+
+def exactly(value: Any) -> Any:
+    """Return a value in which two floats are equal only when all their bits are."""
+    if isinstance(value, float):
+        return struct.pack("<d", value)
+    if isinstance(value, tuple):
+        return tuple(map(exactly, value))
+    return type(value), value
+
+
+def read_sense(leg: str, joints: bytes, contact: bytes) -> LegSense:
+    """Read a leg's two messages."""
+    reader = wire.SenseWire(leg, TICK_NS)
+    tick, first = reader.read_joints(joints)
+    same, second = reader.read_contact(contact)
+    assert tick == same
+    return reader.sense(tick, first, second)
+
+
+# -- every tick's messages ---------------------------------------------------------------------
+
+
+@given(legs, senses)
+def test_a_sense_survives_bit_for_bit(leg: str, sense: LegSense) -> None:
+    """Senses come out of their two messages with every bit they went in with, and every type."""
+    joints, contact = wire.SenseWire(leg, TICK_NS).pack(sense)
+    assert exactly(read_sense(leg, joints, contact)) == exactly(sense)
+
+
+@given(legs, senses)
+def test_ros_reads_a_sense_as_it_was_meant(leg: str, sense: LegSense) -> None:
+    """Rclpy finds in our bytes the names, numbers and stamp that the table of topics promises."""
+    joints, contact = (
+        deserialize_message(data, JointState)
+        for data in wire.SenseWire(leg, TICK_NS).pack(sense)
+    )
+    for message in (joints, contact):
+        stamp = message.header.stamp
+        assert stamp.sec * 10**9 + stamp.nanosec == sense.tick * TICK_NS
+        assert 0 <= stamp.nanosec < 10**9
+    assert joints.name == ["hip", "knee"]
+    assert exactly(tuple(joints.position)) == exactly((sense.hip, sense.knee))
+    assert exactly(tuple(joints.velocity)) == exactly((sense.hip_speed, sense.knee_speed))
+    assert not joints.effort
+    felt = dict(zip(contact.name, contact.position, strict=True))
+    load = dict(zip(contact.name, contact.effort, strict=True))
+    assert exactly((felt["slip"], felt["inclination"])) == exactly((sense.slip, sense.inclination))
+    assert (felt["hair"], felt["touch"], felt["restart"]) == sense[-3:]
+    assert exactly((load["load"], load["load_peak"])) == exactly(
+        (sense.force_mean, sense.force_peak)
+    )
+    assert not contact.velocity
+
+
+@given(legs, commands)
+def test_a_command_survives_bit_for_bit(leg: str, command: LegCommand) -> None:
+    """A command comes out of its message with every bit; rclpy reads the same numbers."""
+    packed = wire.CommandWire(leg, TICK_NS)
+    data = packed.pack(command)
+    assert exactly(packed.read(data)) == exactly(command)
+    message = deserialize_message(data, JointState)
+    assert message.name == ["hip", "knee"]
+    assert exactly((*message.velocity, *message.effort)) == exactly(command[1:])
+    assert not message.position
+
+
+@given(legs, senses, commands, st.text(max_size=30), st.booleans())
+def test_a_message_made_by_others_is_read_bit_for_bit(
+    leg: str, sense: LegSense, command: LegCommand, frame: str, full: bool
+) -> None:
+    """What rclpy serializes, with any frame and the third array in use, reads as our own does."""
+
+    def others(data: bytes, spare: str) -> bytes:
+        message = deserialize_message(data, JointState)
+        message.header.frame_id = frame.replace("\0", "")
+        if full:
+            setattr(message, spare, [0.5] * len(message.name))
+        made: bytes = serialize_message(message)
+        return made
+
+    joints, contact = wire.SenseWire(leg, TICK_NS).pack(sense)
+    read = read_sense(leg, others(joints, "effort"), others(contact, "velocity"))
+    assert exactly(read) == exactly(sense)
+    data = wire.CommandWire(leg, TICK_NS).pack(command)
+    assert exactly(wire.CommandWire(leg, TICK_NS).read(others(data, "position"))) == exactly(
+        command
+    )
+
+
+def test_the_extremes_of_doubles_survive() -> None:
+    """Minus zero, subnormals and the largest doubles pass, also where their sum overflows."""
+    assert exactly(
+        read_sense("front_left", *wire.SenseWire("front_left", TICK_NS).pack(EXTREME))
+    ) == exactly(EXTREME)
+    most = EXTREME._replace(hip=1.7e308, knee=1.7e308, force_mean=1.7e308, force_peak=1.7e308)
+    assert exactly(
+        read_sense("front_left", *wire.SenseWire("front_left", TICK_NS).pack(most))
+    ) == exactly(most)
+
+
+@given(st.integers(0, 2**53 - 1), st.sampled_from([4, 32, 1024]))
+def test_a_phase_names_its_tick_exactly(tick: int, per_cycle: int) -> None:
+    """A phase survives bit for bit, and the tick it stands for comes out of it."""
+    phase = tick / per_cycle
+    data = wire.pack_phase(phase)
+    assert deserialize_message(data, Float64).data == phase
+    assert wire.read_phase(data, per_cycle, "cpg/phase") == (tick, phase)
+    assert wire.read_phase(serialize_message(Float64(data=phase)), per_cycle, "cpg/phase") == (
+        tick,
+        phase,
+    )
+
+
+@given(st.integers(0, 2**31 * 10**9 - 1))
+def test_a_clock_survives_to_the_nanosecond(ns: int) -> None:
+    """A time comes out of its message as it went in, by our reader and by rclpy's."""
+    data = wire.pack_clock(ns)
+    clock = deserialize_message(data, Clock).clock
+    assert clock.sec * 10**9 + clock.nanosec == ns
+    assert wire.read_clock(data, "clock") == ns
+    assert wire.read_clock(serialize_message(Clock(clock=clock)), "clock") == ns
+
+
+# -- what is refused ---------------------------------------------------------------------------
+
+Change = Callable[[JointState], None]
+
+
+def setting(field: str, value: Any) -> Change:
+    """Return a change of a whole field."""
+    return lambda message: setattr(message, field, value)
+
+
+def putting(field: str, index: int, value: float) -> Change:
+    """Return a change of one number."""
+
+    def change(message: JointState) -> None:
+        getattr(message, field)[index] = value
+
+    return change
+
+
+def stamped(sec: int, nanosec: int) -> Change:
+    """Return a change of the stamp."""
+
+    def change(message: JointState) -> None:
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+
+    return change
+
+
+ANY_BAD = [
+    (setting("name", ["knee", "hip"]), r"names \['knee', 'hip'\]"),
+    (setting("name", []), r"names \[\]"),
+    (setting("name", ["hip", "knee", "toe"]), "names"),
+    (stamped(0, TICK_NS - 1), "stamp 15624999 ns"),
+    (stamped(0, 1), "stamp 1 ns"),
+    (stamped(-1, 0), "stamp -1000000000 ns"),
+]
+JOINTS_BAD = [
+    *ANY_BAD,
+    *[(putting("position", n, x), "position") for n in (0, 1) for x in (math.nan, math.inf)],
+    *[(putting("velocity", n, x), "velocity") for n in (0, 1) for x in (math.nan, -math.inf)],
+    (setting("position", [0.1]), "1 numbers in position"),
+    (setting("position", []), "0 numbers in position"),
+    (setting("velocity", [0.1] * 3), "3 numbers in velocity"),
+]
+CONTACT_BAD = [
+    *ANY_BAD,
+    (putting("position", 0, math.nan), "position"),
+    (putting("position", 1, math.inf), "position"),
+    (putting("effort", 5, math.nan), "effort"),
+    (putting("effort", 6, -math.inf), "effort"),
+    (setting("position", [0.0] * 6), "6 numbers in position"),
+    (setting("effort", []), "0 numbers in effort"),
+    (setting("effort", [0.0] * 8), "8 numbers in effort"),
+    *[(putting("position", 2, x), "hair") for x in (2.0, -1.0, 0.5, TINY)],
+    *[(putting("position", 3, x), "touch") for x in (2.0, 0.999999)],
+    *[(putting("position", 4, x), "restart") for x in (-0.5, 1e300)],
+]
+COMMAND_BAD = [
+    *ANY_BAD,
+    (putting("velocity", 0, math.nan), "velocity"),
+    (putting("velocity", 1, math.inf), "velocity"),
+    (putting("effort", 0, math.nan), "effort"),
+    (putting("effort", 1, math.inf), "effort"),
+    (setting("velocity", [0.0]), "1 numbers in velocity"),
+    (setting("effort", []), "0 numbers in effort"),
+    (putting("effort", 0, -1.0), "torque"),
+    (putting("effort", 1, -TINY), "torque"),
+]
+
+
+def changed(data: bytes, change: Change) -> bytes:
+    """Return a message's bytes after a change."""
+    message = deserialize_message(data, JointState)
+    change(message)
+    made: bytes = serialize_message(message)
+    return made
+
+
+@pytest.mark.parametrize(("change", "names"), JOINTS_BAD)
+def test_malformed_joint_states_are_refused(change: Change, names: str) -> None:
+    """The error of a bad ``joint_states`` names the topic and the field."""
+    senses = wire.SenseWire("rear_left", TICK_NS)
+    with pytest.raises(SignalError, match=f"^rear_left/joint_states: .*{names}"):
+        senses.read_joints(changed(senses.pack(EXTREME)[0], change))
+
+
+@pytest.mark.parametrize(("change", "names"), CONTACT_BAD)
+def test_malformed_contacts_are_refused(change: Change, names: str) -> None:
+    """The error of a bad ``contact`` names the topic and the field."""
+    senses = wire.SenseWire("rear_left", TICK_NS)
+    with pytest.raises(SignalError, match=f"^rear_left/contact: .*{names}"):
+        senses.read_contact(changed(senses.pack(EXTREME)[1], change))
+
+
+@pytest.mark.parametrize(("change", "names"), COMMAND_BAD)
+def test_malformed_commands_are_refused(change: Change, names: str) -> None:
+    """The error of a bad ``command`` names the topic and the field."""
+    wired = wire.CommandWire("rear_left", TICK_NS)
+    with pytest.raises(SignalError, match=f"^rear_left/command: .*{names}"):
+        wired.read(changed(wired.pack(LegCommand(3, 1.0, 2.0, 3.0, 4.0)), change))
+
+
+@given(senses, commands, st.integers(0, 3), not_finite)
+def test_our_own_layout_does_not_let_bad_numbers_pass(
+    sense: LegSense, command: LegCommand, field: int, bad: float
+) -> None:
+    """The quick way, taken for bytes laid out as our own, refuses what the slow one refuses."""
+    senses_wire, commands_wire = wire.SenseWire("leg", TICK_NS), wire.CommandWire("leg", TICK_NS)
+    hurt = ("hip", "knee", "hip_speed", "knee_speed")[field]
+    with pytest.raises(SignalError, match="^leg/joint_states: .*(position|velocity)"):
+        senses_wire.read_joints(senses_wire.pack(sense._replace(**{hurt: bad}))[0])
+    hurt = ("slip", "inclination", "force_mean", "force_peak")[field]
+    with pytest.raises(SignalError, match="^leg/contact: .*(position|effort)"):
+        senses_wire.read_contact(senses_wire.pack(sense._replace(**{hurt: bad}))[1])
+    with pytest.raises(SignalError, match="^leg/contact: (hair|touch|restart) is 2"):
+        hurt = ("hair", "contact", "restart")[field % 3]
+        senses_wire.read_contact(senses_wire.pack(sense._replace(**{hurt: 2}))[1])
+    hurt = ("hip_speed", "knee_speed", "hip_torque", "knee_torque")[field]
+    with pytest.raises(SignalError, match="^leg/command: .*(velocity|effort)"):
+        commands_wire.read(commands_wire.pack(command._replace(**{hurt: bad})))
+    hurt = ("hip_torque", "knee_torque")[field % 2]
+    with pytest.raises(SignalError, match="^leg/command: torque"):
+        commands_wire.read(commands_wire.pack(command._replace(**{hurt: -TINY})))
+
+
+@pytest.mark.parametrize(
+    "phase", [math.nan, math.inf, -math.inf, -1.0, -TINY, TINY, 0.01, 1 / 64, 2.0**60]
+)
+def test_what_is_no_phase_is_refused(phase: float) -> None:
+    """Not finite, negative, between ticks, or too large to name a tick."""
+    for data in (wire.pack_phase(phase), serialize_message(Float64(data=phase))):
+        with pytest.raises(SignalError, match="^cpg/phase: .* is no phase"):
+            wire.read_phase(data, TICKS, "cpg/phase")
+
+
+def test_a_clock_before_the_start_is_refused() -> None:
+    """Time begins at 0."""
+    with pytest.raises(SignalError, match="^clock: -1 s is before the start"):
+        wire.read_clock(wire.pack_clock(-1), "clock")
+
+
+@given(st.binary(max_size=200) | st.builds(lambda tail: wire.CDR + tail, st.binary(max_size=200)))
+def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
+    """Any bytes at all are read or refused with a SignalError: nothing else comes out of them."""
+    senses_wire, commands_wire = wire.SenseWire("leg", TICK_NS), wire.CommandWire("leg", TICK_NS)
+    readers: list[Callable[[bytes], Any]] = [
+        senses_wire.read_joints,
+        senses_wire.read_contact,
+        commands_wire.read,
+    ]
+    for reader in readers:  # random bytes never carry the names
+        with pytest.raises(SignalError):
+            reader(data)
+    if len(data) < 12:
+        with pytest.raises(SignalError, match="bytes are no Float64"):
+            wire.read_phase(data, TICKS, "cpg/phase")
+        with pytest.raises(SignalError, match="bytes are no Clock"):
+            wire.read_clock(data, "clock")
+
+
+@given(senses, st.data())
+def test_a_message_cut_short_is_refused(sense: LegSense, data: st.DataObject) -> None:
+    """Any true prefix of a message is refused: no number is made up for a missing one."""
+    wired = wire.SenseWire("front_right", TICK_NS)
+    joints, contact = wired.pack(sense)
+    # The lengths of the unused arrays may be cut, with the padding before them.
+    with pytest.raises(SignalError):
+        wired.read_joints(joints[: data.draw(st.integers(0, len(joints) - 5))])
+    with pytest.raises(SignalError):
+        wired.read_contact(contact[: data.draw(st.integers(0, len(contact) - 5))])
+
+
+# -- the table's services ----------------------------------------------------------------------
+
+
+@given(pushes)
+def test_a_push_survives_bit_for_bit(push: Push) -> None:
+    """A push comes out of its request with every bit it went in with."""
+    assert exactly(wire.read_push(wire.write_push(push))) == exactly(push)
+
+
+GOOD = Push(2, "a run", 5, cells_sha256(Params()), (Pair(160, 3, -0.0), Pair(161, 4, 1 / 3)))
+
+
+def of(request: SetParametersAtomically.Request, name: str) -> ParameterValue:
+    """Return the value of a field of a push."""
+    (parameter,) = (p for p in request.parameters if p.name == name)
+    return parameter.value
+
+
+@pytest.mark.parametrize("name", ["leg", "run", "epoch", "cells_sha256", "tick", "cell", "target"])
+def test_a_push_with_a_field_missing_twice_or_of_another_type_is_refused(name: str) -> None:
+    """Each field must be there once and have its own type; the error names it."""
+    request = wire.write_push(GOOD)
+    request.parameters = [p for p in request.parameters if p.name != name]
+    with pytest.raises(PushError, match=f"^push: {name} missing"):
+        wire.read_push(request)
+    request = wire.write_push(GOOD)
+    request.parameters.append(Parameter(name=name, value=of(request, name)))
+    with pytest.raises(PushError, match=f"^push: field '{name}' is unknown or twice"):
+        wire.read_push(request)
+    for kind in range(12):
+        request = wire.write_push(GOOD)
+        value = of(request, name)
+        if kind != value.type:
+            value.type = kind
+            with pytest.raises(PushError, match=f"^push: {name} has parameter type {kind}"):
+                wire.read_push(request)
+
+
+def test_a_push_with_an_unknown_field_is_refused() -> None:
+    """The error names the field and those that are known."""
+    request = wire.write_push(GOOD)
+    value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
+    request.parameters.append(Parameter(name="trust_me", value=value))
+    with pytest.raises(PushError, match=r"'trust_me' is unknown .*leg, run, epoch"):
+        wire.read_push(request)
+
+
+@pytest.mark.parametrize("name", ["tick", "cell", "target"])
+def test_a_push_of_unequal_lengths_is_refused(name: str) -> None:
+    """Tick, cell and target are as many each."""
+    request = wire.write_push(GOOD)
+    value = of(request, name)
+    if name == "target":
+        value.double_array_value = array("d", [0.0])
+    else:
+        value.integer_array_value = array("q", [1, 2, 3])
+    with pytest.raises(PushError, match="^push: tick, cell and target have"):
+        wire.read_push(request)
+
+
+def test_an_empty_push_is_no_push() -> None:
+    """A request without fields names all that are missing."""
+    with pytest.raises(PushError, match="leg, run, epoch, cells_sha256, tick, cell, target miss"):
+        wire.read_push(SetParametersAtomically.Request())
+
+
+@pytest.mark.parametrize(
+    ("bad", "names"),
+    [
+        (GOOD._replace(cells_sha256="0" * 64), "other parameters"),
+        (GOOD._replace(cells_sha256=""), "other parameters"),
+        (GOOD._replace(leg=-1), "leg -1"),
+        (GOOD._replace(epoch=-1), "epoch -1"),
+        (GOOD._replace(run=""), "run ''"),
+        (GOOD._replace(pairs=(Pair(1, -1, 0.0),)), "cell -1 is not in"),
+        (GOOD._replace(pairs=(Pair(1, 10**9, 0.0),)), "cell 1000000000 is not in"),
+        (GOOD._replace(pairs=(Pair(1, 1, math.nan),)), "target of cell 1 at tick 1 is nan"),
+        (GOOD._replace(pairs=(Pair(1, 1, -math.inf),)), "target of cell 1 at tick 1 is -inf"),
+        (GOOD._replace(pairs=(Pair(-1, 1, 0.0),)), "tick -1"),
+        (GOOD._replace(pairs=(*GOOD.pairs, Pair(1, 2, math.nan))), "target of cell 2"),
+    ],
+)
+def test_a_push_that_says_nonsense_is_refused_whole(bad: Push, names: str) -> None:
+    """Values that fit their types and mean nothing are refused; nothing of the push is taken."""
+    params = Params()
+    table = empty_table(params)
+    shared = SharedTable(table, cells=cells_sha256(params), floor=0.1)
+    before = table.sha256()
+    with pytest.raises(PushError, match=names):
+        shared.push(wire.read_push(wire.write_push(bad)))
+    shared.merge()
+    assert (table.sha256(), shared.version) == (before, 0)
+
+
+@given(
+    st.integers(0, 2**63 - 1),
+    st.lists(st.tuples(st.integers(0, 2**63 - 1), numbers, st.integers(0, 2**63 - 1)), max_size=30),
+    st.none() | st.integers(0, 2**62),
+    st.integers(-1, 2**62),
+)
+def test_a_pull_survives_bit_for_bit(
+    version: int, content: list[tuple[int, float, int]], since: int | None, upto: int
+) -> None:
+    """What is asked and what is answered come out as they went in."""
+    cells, values, visits = zip(*content, strict=True) if content else ((), (), ())
+    changes = Changes(
+        version,
+        np.array(cells, dtype=np.int64),
+        np.array(values, dtype=np.float64),
+        np.array(visits, dtype=np.int64),
+    )
+    asked_since, asked_upto, wanted = wire.read_pull(wire.write_pull(since, upto))
+    assert (asked_since, asked_upto) == (-1 if since is None else since, upto)
+    response = GetParameters.Response(values=wire.answer_pull(wanted, changes, str))
+    read = wire.read_changes(response)
+    assert read.version == version
+    for ours, theirs in zip(read[1:], changes[1:], strict=True):
+        assert ours.dtype == theirs.dtype
+        assert ours.tobytes() == theirs.tobytes()
+
+
+def test_a_pull_of_the_whole_table_is_the_table() -> None:
+    """Pulled without bounds, every cell comes with its value and its visits."""
+    table = Table(5, 3)
+    for cell in range(15):
+        table.put(cell, -cell / 7, cell)
+    table.put(3, -0.0, 1)
+    shared = SharedTable(table, cells="", floor=0.1)
+    request = GetParameters.Request(names=["about", "visits", "values", "cells", "version"])
+    since, upto, wanted = wire.read_pull(request)
+    assert (since, upto, wanted) == (None, None, request.names)
+    about, visits, values, cells, version = wire.answer_pull(
+        wanted, shared.pull(since, upto), lambda: "{}"
+    )
+    assert about.string_value == "{}"
+    assert version.integer_value == 0
+    assert list(cells.integer_array_value) == list(range(15))
+    assert values.double_array_value.tobytes() == table.values.tobytes()
+    assert visits.integer_array_value.tobytes() == table.visits.tobytes()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "value", "since", "since=", "since=x", "since=1.5", "upto=--1", "version=1", "cells "],
+)
+def test_a_pull_of_something_unknown_is_refused(name: str) -> None:
+    """The error names what was asked and what may be asked."""
+    with pytest.raises(PushError, match=rf"^pull: '{name}' is unknown; .*values, visits, about"):
+        wire.read_pull(GetParameters.Request(names=["version", name]))
+
+
+@pytest.mark.parametrize("name", [f"since={2**63}", f"upto={2**63}", f"since=-{2**63 + 1}"])
+def test_a_pull_with_a_bound_that_is_no_64_bit_integer_is_refused(name: str) -> None:
+    """A bound that no version or epoch can have is refused, not passed on to raise elsewhere."""
+    with pytest.raises(PushError, match="^pull: "):
+        wire.read_pull(GetParameters.Request(names=[name, "version"]))
+
+
+def test_an_empty_answer_to_a_pull_is_a_refusal() -> None:
+    """A leg that is answered nothing says so, and takes nothing."""
+    with pytest.raises(PushError, match="refused"):
+        wire.read_changes(GetParameters.Response())
+
+
+def test_signals_have_no_field_that_wire_forgets() -> None:
+    """All fields of a sense and of a command differ in what they do to the bytes."""
+    sense, command = EXTREME, LegCommand(3, 1.0, 2.0, 3.0, 4.0)
+    senses_wire, commands_wire = wire.SenseWire("leg", TICK_NS), wire.CommandWire("leg", TICK_NS)
+    packed = {senses_wire.pack(sense)}
+    for field in sense._fields:
+        packed.add(senses_wire.pack(sense._replace(**{field: 1 - getattr(sense, field)})))
+    assert len(packed) == 1 + len(sense._fields)
+    orders = {commands_wire.pack(command)}
+    for field in command._fields:
+        orders.add(commands_wire.pack(command._replace(**{field: getattr(command, field) + 1})))
+    assert len(orders) == 1 + len(command._fields)
+
+
+def test_cells_that_mean_something_else_have_another_sha256() -> None:
+    """A push learnt with another partition names other cells."""
+    params = Params()
+    other = dataclasses.replace(params, state=dataclasses.replace(params.state, hip_bins=16))
+    assert cells_sha256(params) != cells_sha256(other)
