@@ -29,9 +29,7 @@ class CpgNode(Node):  # type: ignore[misc]
         Raises:
             ParameterError: a parameter is unknown or out of range.
         """
-        super().__init__(
-            "cpg_node", automatically_declare_parameters_from_overrides=True, **kwargs
-        )
+        super().__init__("cpg_node", automatically_declare_parameters_from_overrides=True, **kwargs)
         self.done = False
         params = declare_params(self, ("gait",))
         self._oscillator = FixedPeriod(params.gait)

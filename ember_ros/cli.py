@@ -117,7 +117,7 @@ def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
 @main.command()
 @_options(cycles=6000, out="out/train", way="loop")
 def train(**options: Any) -> None:
-    """Train one leg on the cantilever trainer.
+    r"""Train one leg on the cantilever trainer.
 
     \b
     ember train                              6000 steps, about half a minute
@@ -130,7 +130,7 @@ def train(**options: Any) -> None:
 @main.command()
 @_options(cycles=300, out="out/walk", way="graph")
 def walk(**options: Any) -> None:
-    """Let four legs carry a body, still learning.
+    r"""Let four legs carry a body, still learning.
 
     \b
     ember walk --table out/train/table.npz   legs that a trainer has taught
@@ -192,23 +192,22 @@ def _draw(file: Path, plan: Plan, **records: Any) -> None:
 
 
 def _end_early(summary: dict[str, Any], out: Path) -> None:
-    console.print(
-        f"Stopped after {summary['cycles']} cycles; what was learnt is in {out / TABLE}."
-    )
+    console.print(f"Stopped after {summary['cycles']} cycles; what was learnt is in {out / TABLE}.")
     sys.exit(INTERRUPTED)
 
 
 @contextmanager
-def _progress(label: str, cycles: int, stop: Stop) -> Iterator[GoOn]:
+def _progress(label: str, total: int, stop: Stop, unit: str = "cycles") -> Iterator[GoOn]:
+    counter = "cycles, {task.fields[falls]} falls" if unit == "cycles" else unit
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("cycles, {task.fields[falls]} falls"),
+        TextColumn(counter),
         TimeRemainingColumn(),
         console=console,
     ) as bar:
-        task = bar.add_task(label, total=cycles, falls=0)
+        task = bar.add_task(label, total=total, falls=0)
 
         def go_on(done: int, falls: int) -> bool:
             bar.update(task, completed=done, falls=falls)
@@ -216,7 +215,7 @@ def _progress(label: str, cycles: int, stop: Stop) -> Iterator[GoOn]:
 
         yield go_on
         if not stop.asked:
-            bar.update(task, completed=cycles)
+            bar.update(task, completed=total)
 
 
 def _number(value: float | None, form: str = ".3f") -> str:
@@ -261,9 +260,7 @@ def _grid(summaries: dict[str, dict[str, Any]]) -> Grid:
     show_default=True,
     help="Folder for both runs and demo.png; an earlier demo there is replaced.",
 )
-def demo(
-    cycles: int, walk_cycles: int, seed: int, params_file: Path | None, out: Path
-) -> None:
+def demo(cycles: int, walk_cycles: int, seed: int, params_file: Path | None, out: Path) -> None:
     """Train a leg, attach four to a body, walk on the ROS graph, draw it all.
 
     The leg learns alone with the direct loop; then four nodes with its table carry the body on a
@@ -271,9 +268,7 @@ def demo(
     """
     params = load_params(params_file) if params_file else Params()
     training = Plan("trainer", cycles, seed=seed, params=params)
-    walking = Plan(
-        "walker", walk_cycles, seed=seed, params=params, table=out / "train" / TABLE
-    )
+    walking = Plan("walker", walk_cycles, seed=seed, params=params, table=out / "train" / TABLE)
     with stop_signals() as stop:
         trained, first = _show(training, "loop", out / "train", stop)
         summaries, records = {"one leg, trainer": first}, {"trained": trained}
@@ -331,10 +326,41 @@ def bench(cycles: int, repeats: int, params_file: Path | None, out: Path) -> Non
     console.print(f"In {out}: bench.json")
 
 
+@main.command()
+@click.argument("name", type=click.Choice(["first-light"]))
+@click.option("--seeds", type=click.IntRange(1), default=5, show_default=True, help="How many.")
+@click.option("--cycles", type=click.IntRange(1), default=6000, show_default=True, help="Trainer.")
+@click.option("--walk-cycles", type=click.IntRange(1), default=300, show_default=True, help="Body.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default="out/experiments",
+    show_default=True,
+    help="Folder for the page, the numbers and the runs.",
+)
+def experiment(name: str, seeds: int, cycles: int, walk_cycles: int, out: Path) -> None:
+    """Run an experiment over many seeds, and write its page.
+
+    first-light: one leg trained alone; then four walkers in one body: trained, scripted, random,
+    and legs that know nothing.
+    """
+    from ember_ros.experiments import first_light as experiment
+
+    command = shlex.join(["ember", *sys.argv[1:]])
+    out.mkdir(parents=True, exist_ok=True)
+    with stop_signals() as stop, _progress(name, seeds, stop, "seeds") as go_on:
+        found = experiment.first_light(seeds, cycles, walk_cycles, out / "runs", go_on)
+    if not found:
+        raise ParameterError("stopped before the first seed was done; nothing was written")
+    text = experiment.page(found, cycles, walk_cycles, command)
+    experiment.write(found, text, out)
+    console.print(f"{len(found)} of {seeds} seeds; in {out}: {name}.md, {name}.json")
+
+
 @main.command("params")
 @click.option("--describe", is_flag=True, help="Say unit, range and meaning instead of YAML.")
 def params_command(describe: bool) -> None:
-    """Print every parameter, as a file to edit or as a list to read.
+    r"""Print every parameter, as a file to edit or as a list to read.
 
     \b
     ember params > mine.yaml

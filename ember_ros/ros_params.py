@@ -119,6 +119,3 @@ def declare_options(node: Node, names: Sequence[str], **defaults: Any) -> dict[s
         _set(node, name, value, ParameterDescriptor(description=option.doc, read_only=True))
         values[name] = value
     return values
-
-
-

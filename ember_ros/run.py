@@ -33,7 +33,9 @@ GoOn = Callable[[int, int], bool]
 """Told now and then of cycles done and falls; says whether to go on."""
 
 
-def run(plan: Plan, way: str, out: Path, go_on: GoOn, command: str) -> tuple[Record, dict[str, Any]]:
+def run(
+    plan: Plan, way: str, out: Path, go_on: GoOn, command: str
+) -> tuple[Record, dict[str, Any]]:
     """Run a plan to its end, or until ``go_on`` says no, and write what came of it.
 
     Writes ``table.npz``, ``cycles.csv``, ``traces.npy`` and ``summary.json`` into ``out``.
@@ -57,7 +59,7 @@ def run(plan: Plan, way: str, out: Path, go_on: GoOn, command: str) -> tuple[Rec
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ParameterError(f"cannot make the folder {out}: {error.strerror}") from error
-    for name in (SUMMARY, CYCLES):  # the summary is there again when all is done
+    for name in (SUMMARY, CYCLES, TABLE + ".journal"):  # the summary is there when all is done
         (out / name).unlink(missing_ok=True)
     began = time.perf_counter()
     {"loop": _loop, "graph": _graph, "processes": _processes}[way](plan, out, go_on)

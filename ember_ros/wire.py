@@ -236,9 +236,7 @@ class SenseWire:
     def pack(self, sense: LegSense) -> tuple[bytes, bytes]:
         """Return ``<leg>/joint_states`` and ``<leg>/contact``."""
         ns = sense.tick * self._tick_ns
-        joints = self._joints.pack(
-            ns, (sense.hip, sense.knee), (sense.hip_speed, sense.knee_speed)
-        )
+        joints = self._joints.pack(ns, (sense.hip, sense.knee), (sense.hip_speed, sense.knee_speed))
         contact = self._contact.pack(
             ns,
             (sense.slip, sense.inclination, sense.hair, sense.contact, sense.restart, 0.0, 0.0),
@@ -273,17 +271,13 @@ class SenseWire:
     def sense(tick: int, joints: Stamped, contact: Stamped) -> LegSense:
         """Return the senses in the numbers of one tick's two messages."""
         slip, inclination, hair, touch, restart = contact.first[:5]
+        hip, knee = joints.first
+        hip_speed, knee_speed = joints.second
+        load, load_peak = contact.second[5:]
         return LegSense(
-            tick,
-            *joints.first,
-            *joints.second,
-            *contact.second[5:],
-            inclination,
-            slip,
-            hair == 1.0,
-            touch == 1.0,
-            restart == 1.0,
-        )
+            tick, hip, knee, hip_speed, knee_speed, load, load_peak, inclination, slip,
+            hair == 1.0, touch == 1.0, restart == 1.0,
+        )  # fmt: skip
 
 
 class CommandWire:
@@ -376,19 +370,24 @@ def read_push(request: SetParametersAtomically.Request) -> Push:
     for parameter in request.parameters:
         name, kind = parameter.name, parameter.value.type
         if name not in _PUSH or name in fields:
-            raise PushError(f"push: field {name!r} is unknown or twice there; once each of "
-                            f"{', '.join(_PUSH)} would be right")
+            raise PushError(
+                f"push: field {name!r} is unknown or twice there; once each of "
+                f"{', '.join(_PUSH)} would be right"
+            )
         if kind != _PUSH[name]:
-            raise PushError(f"push: {name} has parameter type {kind}; {_PUSH[name]} "
-                            f"({_FIELD[_PUSH[name]]}) would be right")
+            raise PushError(
+                f"push: {name} has parameter type {kind}; {_PUSH[name]} "
+                f"({_FIELD[_PUSH[name]]}) would be right"
+            )
         fields[name] = getattr(parameter.value, _FIELD[kind])
     missing = [name for name in _PUSH if name not in fields]
     if missing:
         raise PushError(f"push: {', '.join(missing)} missing")
     lengths = [len(fields[name]) for name in ("tick", "cell", "target")]
     if len(set(lengths)) != 1:
-        raise PushError(f"push: tick, cell and target have {lengths} entries; as many each "
-                        "would be right")
+        raise PushError(
+            f"push: tick, cell and target have {lengths} entries; as many each would be right"
+        )
     pairs = tuple(map(Pair, fields["tick"], fields["cell"], fields["target"]))
     return Push(fields["leg"], fields["run"], fields["epoch"], fields["cells_sha256"], pairs)
 
@@ -396,7 +395,14 @@ def read_push(request: SetParametersAtomically.Request) -> Push:
 def write_pull(since: int | None, upto: int) -> GetParameters.Request:
     """Return the request for what changed after a version with all epochs to ``upto`` merged."""
     return GetParameters.Request(
-        names=[f"since={-1 if since is None else since}", f"upto={upto}", "version", "cells", "values", "visits"]
+        names=[
+            f"since={-1 if since is None else since}",
+            f"upto={upto}",
+            "version",
+            "cells",
+            "values",
+            "visits",
+        ]
     )
 
 
@@ -413,8 +419,10 @@ def read_pull(request: GetParameters.Request) -> tuple[int | None, int | None, l
         if key in ("since", "upto") and number.removeprefix("-").isdecimal():
             bounds[key] = int(number)
         elif name not in ("version", "cells", "values", "visits", "about"):
-            raise PushError(f"pull: {name!r} is unknown; since=VERSION, upto=EPOCH, version, cells, "
-                            "values, visits, about are known")
+            raise PushError(
+                f"pull: {name!r} is unknown; since=VERSION, upto=EPOCH, version, cells, "
+                "values, visits, about are known"
+            )
         wanted.append(name)
     return bounds.get("since"), bounds.get("upto"), wanted
 

@@ -62,8 +62,10 @@ class LegModule:
             ParameterError: no such leg, stage or policy.
         """
         if leg not in (*LEGS, TRAINER_LEG):
-            raise ParameterError(f"there is no leg {leg!r}; it is one of {', '.join(LEGS)} on the "
-                                 f"walker, {TRAINER_LEG} on the trainer")
+            raise ParameterError(
+                f"there is no leg {leg!r}; it is one of {', '.join(LEGS)} on the "
+                f"walker, {TRAINER_LEG} on the trainer"
+            )
         if stage not in ("train", "walk"):
             raise ParameterError(f"there is no stage {stage!r}; it is train or walk")
         if policy not in POLICIES:

@@ -168,6 +168,7 @@ class LegNode(Node):  # type: ignore[misc]
             self.module.copy.take(wire.read_changes(future.result()), upto)
         except PushError as why:
             self._refuse(why)
+            self.module.copy.go_without(upto)
         self._go_on()
 
     def _act(self, sense: LegSense, phase: Phase) -> None:

@@ -59,20 +59,21 @@ class Changes(NamedTuple):
 class SharedTable:
     """The merged table and the pushes that wait to be merged."""
 
-    def __init__(self, table: Table, *, cells: str, floor: float) -> None:
+    def __init__(self, table: Table, *, cells: str, floor: float, version: int = 0) -> None:
         """Start from ``table``, which is owned from now on.
 
         Args:
             table: what was learnt before.
             cells: SHA-256 that each push must carry.
             floor: least learning rate.
+            version: to count from; beyond all versions of an earlier life of the same table.
         """
         self.table = table
-        self.version = 0
+        self.version = version
         self.learning = True
         self._cells = cells
         self._floor = floor
-        self._changed: Ints = np.zeros(len(table), dtype=np.int64)  # version of the last change
+        self._changed: Ints = np.full(len(table), version, dtype=np.int64)
         self._pending: dict[int, list[Push]] = {}
         self._done: dict[int, dict[str, int]] = {}
 
@@ -128,12 +129,26 @@ class SharedTable:
                 self.table.update(pair.cell, pair.target, self._floor)
                 self._changed[pair.cell] = self.version
 
+    def pending(self) -> list[Push]:
+        """Return the pushes that are not merged yet."""
+        return [push for pushes in self._pending.values() for push in pushes]
+
+    def done(self) -> dict[int, dict[str, int]]:
+        """Return the last epoch of each run of each leg."""
+        return {leg: dict(runs) for leg, runs in self._done.items()}
+
+    def restore(self, done: dict[int, dict[str, int]], pending: list[Push]) -> None:
+        """Take up what an earlier life of this table had taken and not merged."""
+        self._done = {leg: dict(runs) for leg, runs in done.items()}
+        for push in pending:
+            self._pending.setdefault(push.epoch, []).append(push)
+
     def _check(self, push: Push) -> None:
         if push.cells_sha256 != self._cells:
             raise PushError(
-                f"push of leg {push.leg}, epoch {push.epoch}: learnt with other parameters "
-                f"(cells {push.cells_sha256[:12]}..., this table {self._cells[:12]}...); give the leg "
-                "and the table the same parameter file"
+                f"push of leg {push.leg}, epoch {push.epoch}: learnt with other parameters (cells "
+                f"{push.cells_sha256[:12]}..., here {self._cells[:12]}...); give the leg and the "
+                "table the same parameter file"
             )
         if push.leg < 0 or push.epoch < 0 or not push.run:
             raise PushError(
@@ -218,6 +233,10 @@ class LocalCopy:
                 self._lay(pair)
         for pair in self._pairs:
             self._lay(pair)
+
+    def go_without(self, upto: int) -> None:
+        """Note that the shared table would not give what it has up to an epoch."""
+        self._epoch = upto
 
     def close_epoch(self, tick: int, *, early: bool = False) -> None:
         """Make a push of the epoch's pairs if ``tick`` is its last one (or ``early``)."""

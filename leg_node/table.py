@@ -48,8 +48,8 @@ class Table:
         self.visits: Ints = np.zeros(states * actions, dtype=np.int64)
         # Single cells are read and written through memoryviews: these give Python numbers, three
         # times as fast as indexing the arrays, and share their memory.
-        self._value = self.values.data
-        self._visit = self.visits.data
+        self._value: Any = self.values.data
+        self._visit: Any = self.visits.data
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -176,8 +176,8 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
     if about.get("cells_sha256") != cells_sha256(params):
         raise TableError(
             f"{file} was learnt with another partition of the state, other knee speeds or another "
-            f"stance share (state.*, leg.load, leg.knee_speeds, gait.stance_share); load it with the "
-            f"parameters it was learnt with"
+            "stance share (state.*, leg.load, leg.knee_speeds, gait.stance_share); load it with "
+            "the parameters it was learnt with"
         )
     table.values[:] = values.reshape(-1)
     table.visits[:] = visits.reshape(-1)

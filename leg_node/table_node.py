@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,13 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from ember_ros import topics, wire
-from ember_ros.errors import PushError, TableError
+from ember_ros.errors import EmberError, PushError, TableError
 from ember_ros.params import as_dict, cells_sha256
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.spinning import main_of
+from leg_node.journal import MOST_PUSHES, Journal, from_json, to_json
 from leg_node.shared import SharedTable
-from leg_node.table import empty_table, load_table, save_table
+from leg_node.table import Table, empty_table, load_table, save_table
 
 
 class TableNode(Node):  # type: ignore[misc]
@@ -42,23 +44,82 @@ class TableNode(Node):  # type: ignore[misc]
             "table_node", automatically_declare_parameters_from_overrides=True, **kwargs
         )
         self.done = False
-        self._params = declare_params(self, ("gait", "leg", "state", "train", "walk"))
+        self._params = params = declare_params(self, ("gait", "leg", "state", "train", "walk"))
         options = declare_options(self, ("stage", "table", "save", "seed"))
         self._save = Path(options["save"]) if options["save"] else None
         self._seed = options["seed"]
-        params = self._params
-        table = load_table(Path(options["table"]), params)[0] if options["table"] else None
-        numbers = params.walk if options["stage"] == "walk" else params.train
-        self.shared = SharedTable(
-            table or empty_table(params), cells=cells_sha256(params), floor=numbers.alpha_floor
-        )
+        self._numbers = params.walk if options["stage"] == "walk" else params.train
+        self._journal = Journal(self._save) if self._save else None
+        self._born = time.time_ns()  # versions of a later life are greater than all before
+        self._generation = 0
+        self._restored = self._take_up()
+        if not self._restored:
+            given = Path(options["table"]) if options["table"] else None
+            self.shared = self._share(
+                load_table(given, params)[0] if given else empty_table(params)
+            )
+        if self._journal:
+            self._snapshot()
+        else:
+            self.get_logger().info("what is learnt will be lost: no -p save:=FILE.npz was given")
         self.refused = 0
         topics.PUSH.serve(self, self._push)
         topics.PULL.serve(self, self._pull)
         topics.SAVE.serve(self, self._save_now)
         topics.LEARNING.serve(self, self._set_learning)
 
-    def _refuse(self, why: PushError) -> str:
+    # -- lasting -----------------------------------------------------------------------------
+
+    def _share(self, table: Table) -> SharedTable:
+        return SharedTable(
+            table,
+            cells=cells_sha256(self._params),
+            floor=self._numbers.alpha_floor,
+            version=self._born,
+        )
+
+    def _take_up(self) -> bool:
+        """Go on where an earlier life was cut off: its journal is still there."""
+        if self._save is None or self._journal is None or not self._journal.file.exists():
+            return False
+        try:
+            table, about = load_table(self._save, self._params)
+            state = about["shared"]
+        except (TableError, KeyError) as why:
+            raise TableError(
+                f"{self._journal.file} is left of a table that was cut off, but {self._save} is "
+                f"not its snapshot ({why}); move the journal away to start anew"
+            ) from None
+        self.shared = self._share(table)
+        self._generation = state["generation"]
+        self.shared.restore(
+            {int(leg): runs for leg, runs in state["done"].items()},
+            [from_json(push) for push in state["pending"]],
+        )
+        later = self._journal.read(self._generation)
+        for push in later:
+            self.shared.push(push)
+        self.get_logger().warning(
+            f"taken up where it was cut off: {self._save} and {len(later)} pushes after it"
+        )
+        return True
+
+    def _snapshot(self) -> None:
+        """Write the table with what is not merged, and begin a new journal behind it."""
+        assert self._save is not None
+        assert self._journal is not None
+        self._generation += 1
+        state = {
+            "generation": self._generation,
+            "done": self.shared.done(),
+            "pending": [to_json(push) for push in self.shared.pending()],
+        }
+        save_table(self._save, self.shared.table, self._params, self._seed, {"shared": state})
+        self._journal.begin(self._generation)
+
+    # -- answering ---------------------------------------------------------------------------
+
+    def _refuse(self, why: EmberError) -> str:
         self.refused += 1
         self.get_logger().warning(f"refused ({self.refused} so far): {why}")
         return str(why)
@@ -69,8 +130,13 @@ class TableNode(Node):  # type: ignore[misc]
         response: SetParametersAtomically.Response,
     ) -> SetParametersAtomically.Response:
         try:
-            fresh = self.shared.push(wire.read_push(request))
-        except PushError as why:
+            push = wire.read_push(request)
+            fresh = self.shared.push(push)
+            if fresh and self._journal and self.shared.learning:
+                self._journal.add(push)
+                if self._journal.pushes >= MOST_PUSHES:
+                    self._snapshot()
+        except EmberError as why:
             response.result.successful = False
             response.result.reason = self._refuse(why)
         else:
@@ -83,6 +149,11 @@ class TableNode(Node):  # type: ignore[misc]
     ) -> GetParameters.Response:
         try:
             since, upto, wanted = wire.read_pull(request)
+            if since is not None and 0 <= since < self._born and not self._restored:
+                raise PushError(
+                    f"pull: version {since} is of a table that was here before; this one was "
+                    "started without its file, and does not overwrite what the leg knows"
+                )
         except PushError as why:
             self._refuse(why)
             return response  # empty: all this type has to say no with
@@ -101,7 +172,7 @@ class TableNode(Node):  # type: ignore[misc]
         """
         self.shared.merge()
         if self._save is not None:
-            save_table(self._save, self.shared.table, self._params, self._seed)
+            self._snapshot()
         return self.shared.table.sha256()
 
     def _save_now(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -125,8 +196,12 @@ class TableNode(Node):  # type: ignore[misc]
         return response
 
     def finish(self, spin: Callable[[], None]) -> None:
-        """Write the table."""
-        sha = self.save()
+        """Merge and write the table."""
+        self.shared.merge()
+        sha = self.shared.table.sha256()
+        if self._save is not None and self._journal is not None:
+            save_table(self._save, self.shared.table, self._params, self._seed)
+            self._journal.remove()
         if self._save is not None:
             self.get_logger().info(f"table {sha[:12]} is in {self._save}")
 

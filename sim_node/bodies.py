@@ -54,13 +54,13 @@ def _link(
     ET.SubElement(inertial, "origin", xyz=_text(centre), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=repr(float(mass)))
     diagonal = {f"i{a}{a}": repr(float(i)) for a, i in zip("xyz", inertia, strict=True)}
-    ET.SubElement(inertial, "inertia", ixy="0", ixz="0", iyz="0", **diagonal)
+    ET.SubElement(inertial, "inertia", {**diagonal, "ixy": "0", "ixz": "0", "iyz": "0"})
     for kind, shapes in (("visual", seen), ("collision", felt)):
         for shape in shapes:
             part = ET.SubElement(link, kind)
             ET.SubElement(part, "origin", xyz=_text(shape.at), rpy=_text(shape.turned))
             sizes = {name: repr(float(size)) for name, size in shape.sizes.items()}
-            ET.SubElement(ET.SubElement(part, "geometry"), shape.kind, **sizes)
+            ET.SubElement(ET.SubElement(part, "geometry"), shape.kind, sizes)
             if kind == "visual":
                 material = ET.SubElement(part, "material", name=f"{name}_{shape.kind}")
                 ET.SubElement(material, "color", rgba=_text(shape.colour))

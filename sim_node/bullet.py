@@ -39,6 +39,9 @@ with _quiet():
     import pybullet as bullet
 
 
+__all__ = ["BulletWorld", "bullet"]
+
+
 class _Mount:
     """One leg in Bullet: its indices there, and what its foot went through in this tick."""
 

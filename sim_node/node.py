@@ -44,21 +44,18 @@ class SimNode(Node):  # type: ignore[misc]
     """
 
     def __init__(self, world: World | None = None, **kwargs: Any) -> None:
-        """Make the node; ``kwargs`` go to rclpy's ``Node``.
+        """Make the node.
 
         Args:
             world: where the legs are mounted; the one that the parameters name for None.
+            **kwargs: go to rclpy's ``Node``.
 
         Raises:
             ParameterError: a parameter is unknown or out of range, or PyBullet is missing.
         """
-        super().__init__(
-            "sim_node", automatically_declare_parameters_from_overrides=True, **kwargs
-        )
+        super().__init__("sim_node", automatically_declare_parameters_from_overrides=True, **kwargs)
         self.done = False
-        params = declare_params(
-            self, ("gait", "leg", "physics", "trainer", "walker", "reward")
-        )
+        params = declare_params(self, ("gait", "leg", "physics", "trainer", "walker", "reward"))
         options = declare_options(
             self, ("world", "mode", "gui", "cycles", "patience", "out", "seed")
         )

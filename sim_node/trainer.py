@@ -19,7 +19,7 @@ class TrainerWorld(BulletWorld):
     approached at no more than ``trainer.stop_slew`` a tick.
     """
 
-    legs = (TRAINER_LEG,)
+    legs: tuple[str, ...] = (TRAINER_LEG,)
     fixed = True
 
     def __init__(self, params: Params, *, seed: int = 0, gui: bool = False) -> None:
@@ -78,9 +78,7 @@ class TrainerWorld(BulletWorld):
             self._goal = min(trainer.stop_high, max(trainer.stop_low, drawn))
         way = self._goal - self._stop
         if way != 0.0:
-            self._set_stop(
-                self._stop + max(-trainer.stop_slew, min(trainer.stop_slew, way))
-            )
+            self._set_stop(self._stop + max(-trainer.stop_slew, min(trainer.stop_slew, way)))
 
     def _angle(self, height: float) -> float:
         half = self.params.trainer.bar_length / 2

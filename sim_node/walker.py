@@ -18,7 +18,7 @@ class WalkerWorld(BulletWorld):
     where the next tick finds it, and the senses of that tick are marked ``restart``.
     """
 
-    legs = LEGS
+    legs: tuple[str, ...] = LEGS
 
     def __init__(self, params: Params, *, gui: bool = False) -> None:
         """Build the walker, standing."""

@@ -1,0 +1,136 @@
+"""First light: does a leg learn alone, and do four of them then walk? (issue of the whole path)
+
+For each seed one leg is trained by the plain rule; then four walkers use the same body: legs with
+the trained table, a knee written by hand, a random knee, and legs that start from nothing.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import json
+import multiprocessing
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ember_ros.params import Params
+from ember_ros.plan import Plan
+from ember_ros.report.recorder import Record
+from ember_ros.run import TABLE, run, versions
+
+TILT_RAD, LOW_M = 0.3, 0.36
+"""A cycle with more tilt or lower hips than this is counted as outside, fall or no fall."""
+WALKERS = ("trained", "scripted", "random", "empty table")
+WORKERS = 2
+
+
+def _outside(record: Record) -> float:
+    """Return the share of cycles with too much tilt or hips too low."""
+    rows = record.body_rows()
+    bad = sum((r.tilt_max_rad or 0) > TILT_RAD or (r.height_min_m or 0) < LOW_M for r in rows)
+    return bad / len(rows)
+
+
+def one_seed(seed: int, train_cycles: int, walk_cycles: int, out: Path) -> dict[str, Any]:
+    """Train and walk with one seed, and return plain numbers."""
+    params, folder = Params(), out / f"seed{seed}"
+
+    def go(plan: Plan, name: str) -> tuple[Record, dict[str, Any]]:
+        return run(plan, "loop", folder / name, lambda cycles, falls: True, "first-light")
+
+    training = Plan("trainer", train_cycles, seed=seed, params=params)
+    _, summary = go(training, "train")
+    found: dict[str, Any] = {"seed": seed, "first": summary["first"], "last": summary["last"]}
+    table = folder / "train" / TABLE
+    for name in WALKERS:
+        plan = Plan(
+            "walker",
+            walk_cycles,
+            seed=seed,
+            params=params,
+            policy=name if name in ("scripted", "random") else "learned",
+            learning=name in ("trained", "empty table"),
+            table=table if name == "trained" else None,
+        )
+        record, summary = go(plan, name.replace(" ", "_"))
+        keys = ("falls", "first_fall", "distance_per_cycle_m", "roll_sd_rad", "pitch_sd_rad")
+        found[name] = {key: summary[key] for key in keys} | {"outside": _outside(record)}
+    return found
+
+
+def first_light(
+    seeds: int, train_cycles: int, walk_cycles: int, out: Path, say: Callable[[int, int], bool]
+) -> list[dict[str, Any]]:
+    """Run all seeds, two processes at once, and return their numbers in order of seed.
+
+    Args:
+        seeds: how many, from 0.
+        train_cycles: cycles on the trainer.
+        walk_cycles: cycles on the body.
+        out: folder for the runs.
+        say: told how many seeds are done; returns whether to go on.
+    """
+    context = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(WORKERS, mp_context=context) as pool:
+        jobs = [pool.submit(one_seed, s, train_cycles, walk_cycles, out) for s in range(seeds)]
+        for done, _ in enumerate(concurrent.futures.as_completed(jobs), 1):
+            if not say(done, 0):
+                pool.shutdown(cancel_futures=True)
+                break
+        return [job.result() for job in jobs if job.done() and not job.cancelled()]
+
+
+def page(found: list[dict[str, Any]], train_cycles: int, walk_cycles: int, command: str) -> str:
+    """Return the results as a Markdown page."""
+    first, last = found[0]["first"]["cycles"], found[0]["last"]["cycles"]
+    lines = [
+        "# First light",
+        "",
+        f"Made by `{command}`; every number below is written by it (`first-light.json` holds them "
+        f"all). Versions: {', '.join(f'{k} {v}' for k, v in versions().items())}.",
+        "",
+        f"## One leg on the trainer, {train_cycles} cycles, the plain rule",
+        "",
+        f"Means over the first {first} and the last {last} cycles. "
+        f"`ember train --cycles {train_cycles} --seed S` shows one line of it.",
+        "",
+        "| seed | distance a cycle, first, m | last, m | stance contact, last | "
+        "peak force, first, N | last, N |",
+        "|---|---|---|---|---|---|",
+    ]
+    for each in found:
+        a, b = each["first"], each["last"]
+        lines.append(
+            f"| {each['seed']} | {a['distance_per_cycle_m']:.3f} | "
+            f"{b['distance_per_cycle_m']:.3f} | {b['contact_share']:.2f} | "
+            f"{a['peak_force_n']:.0f} | {b['peak_force_n']:.0f} |"
+        )
+    lines += [
+        "",
+        f"## Four legs on the body, {walk_cycles} cycles",
+        "",
+        "The same body and the same seeds; the trained and the empty table go on learning. "
+        f"Outside: share of cycles with roll or pitch over {TILT_RAD} rad or hips under {LOW_M} m. "
+        f"`ember walk --cycles {walk_cycles} --seed S --table out/train/table.npz` (or `--policy "
+        "scripted`, `--policy random`, or no table) shows one line of it.",
+        "",
+        "| walker | seed | falls | first fall, cycle | distance a cycle, m | SD of roll, rad | "
+        "SD of pitch, rad | outside |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name in WALKERS:
+        for each in found:
+            w = each[name]
+            fall = "-" if w["first_fall"] is None else w["first_fall"]
+            lines.append(
+                f"| {name} | {each['seed']} | {w['falls']} | {fall} | "
+                f"{w['distance_per_cycle_m']:.3f} | {w['roll_sd_rad']:.3f} | "
+                f"{w['pitch_sd_rad']:.3f} | {w['outside']:.1%} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def write(found: list[dict[str, Any]], text: str, out: Path) -> None:
+    """Write the page and the numbers behind it."""
+    (out / "first-light.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    (out / "first-light.md").write_text(text, encoding="utf-8")

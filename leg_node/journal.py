@@ -1,0 +1,97 @@
+"""What makes an acknowledged push last: a line a push, in a file beside the table. Pure.
+
+The table's file is a snapshot; the journal holds what came after it. A snapshot and its journal
+carry the same generation: a journal of an older one is already in the snapshot. After the death of
+the process, snapshot and journal together are the table as everybody was told it is.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from ember_ros.errors import TableError
+from ember_ros.signals import Pair
+from leg_node.shared import Push
+
+MOST_PUSHES = 1024
+"""Pushes after which a new snapshot is due: bounds the file and the time to read it."""
+
+
+def to_json(push: Push) -> list[Any]:
+    """Return a push as plain lists; floats survive JSON bit for bit."""
+    return [*push[:-1], [list(pair) for pair in push.pairs]]
+
+
+def from_json(content: list[Any]) -> Push:
+    """Return the push in plain lists."""
+    leg, run, epoch, cells_sha256, pairs = content
+    return Push(leg, run, epoch, cells_sha256, tuple(Pair(*pair) for pair in pairs))
+
+
+class Journal:
+    """The pushes since a snapshot."""
+
+    def __init__(self, table_file: Path) -> None:
+        """Keep the journal of ``table_file`` beside it."""
+        self.file = table_file.with_name(table_file.name + ".journal")
+        self.pushes = 0
+        self._out: Any = None
+
+    def begin(self, generation: int) -> None:
+        """Begin anew after a snapshot was written.
+
+        Raises:
+            TableError: the file cannot be written.
+        """
+        self.close()
+        draft = self.file.with_name(self.file.name + ".new")
+        try:
+            self._out = draft.open("w", encoding="utf-8")
+            self._line({"generation": generation})
+            os.replace(draft, self.file)
+        except OSError as error:
+            raise TableError(f"cannot write {self.file}: {error.strerror}") from error
+        self.pushes = 0
+
+    def add(self, push: Push) -> None:
+        """Write a push down before it is acknowledged.
+
+        Raises:
+            TableError: the file cannot be written; the push is not durable.
+        """
+        try:
+            self._line(to_json(push))
+        except OSError as error:
+            raise TableError(f"cannot write {self.file}: {error.strerror}") from error
+        self.pushes += 1
+
+    def _line(self, content: Any) -> None:
+        self._out.write(json.dumps(content) + "\n")
+        self._out.flush()  # to the system: it outlives this process
+
+    def read(self, generation: int) -> list[Push]:
+        """Return the pushes since the snapshot of a generation, up to the first torn line."""
+        pushes: list[Push] = []
+        try:
+            lines = self.file.read_text(encoding="utf-8", errors="replace").splitlines()
+            if json.loads(lines[0]) != {"generation": generation}:
+                return []
+            for line in lines[1:]:
+                pushes.append(from_json(json.loads(line)))
+        except (OSError, ValueError, IndexError, TypeError):
+            pass  # torn where the process died: that push was not acknowledged
+        return pushes
+
+    def close(self) -> None:
+        """Close the file and leave it."""
+        if self._out is not None:
+            self._out.close()
+            self._out = None
+
+    def remove(self) -> None:
+        """Close and remove the file: the table's file holds everything."""
+        self.close()
+        self.file.unlink(missing_ok=True)
