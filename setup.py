@@ -29,7 +29,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "ember = ember_ros.cli:main",
+            "ember = ember_ros.__main__:main",
             "sim_node = sim_node.node:main",
             "leg_node = leg_node.node:main",
             "cpg_node = cpg_node.node:main",

@@ -378,7 +378,3 @@ def params_command(describe: bool) -> None:
         shown = ", ".join(map(str, default)) if isinstance(default, tuple) else str(default)
         grid.add_row(name, shown, spec.unit, f"{spec.low:g} to {spec.high:g}", spec.doc)
     console.print(grid)
-
-
-if __name__ == "__main__":
-    main()

@@ -31,7 +31,7 @@ OPTIONS = {
     "world": Option("walker", "where the legs are mounted", ("walker", "trainer")),
     "mode": Option("lockstep", "wait for all commands, or never", ("lockstep", "realtime")),
     "gui": Option(False, "show Bullet's window"),
-    "cycles": Option(0, "cycles to run; 0: until stopped"),
+    "cycles": Option(-1, "cycles to run; -1: until stopped"),
     "patience": Option(1.0, "wall seconds to wait for a leg, s"),
     "out": Option("", "folder for the record of the run; '' for none"),
     "seed": Option(0, "seed of the run; each drawer has its own generator"),
@@ -114,8 +114,9 @@ def declare_options(node: Node, names: Sequence[str], **defaults: Any) -> dict[s
             )
         if option.choices and value not in option.choices:
             raise ParameterError(f"{name} = {value!r} must be one of {', '.join(option.choices)}")
-        if name in ("cycles", "seed", "patience") and value < 0:
-            raise ParameterError(f"{name} = {value!r} must be 0 or more")
+        least = {"cycles": -1, "seed": 0, "patience": 0.0}.get(name)
+        if least is not None and value < least:
+            raise ParameterError(f"{name} = {value!r} must be {least} or more: {option.doc}")
         _set(node, name, value, ParameterDescriptor(description=option.doc, read_only=True))
         values[name] = value
     return values

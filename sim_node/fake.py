@@ -1,10 +1,10 @@
 """A world without physics, for tests: quick, exact, and responsive in every sense. Pure.
 
-Nothing has mass. The hips of all legs move forward together at the operating height and at the
-gait's own speed, whatever the legs do. Each joint follows the speed it is asked for at once and
-stops at its limit; torques are ignored. Everything else that a leg senses follows from where its
-own foot then is: a foot that would be under the ground is pressed on by a spring, and slides as
-far as it moves over the ground. No leg feels another.
+Nothing has mass. The hips of all legs move forward together at the operating height, as fast as
+the gait's ramp asks for, whatever the legs do. Each joint follows the speed it is asked for at
+once and stops at its limit; torques are ignored. Everything else that a leg senses follows from
+where its own foot then is: a foot that would be under the ground is pressed on by a spring, and
+slides as far as it moves over the ground. No leg feels another.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ class FakeWorld:
         self.params = params or Params()
         self._falls_at = frozenset(falls_at)
         gait, leg = self.params.gait, self.params.leg
-        way = leg.operating_height * (math.tan(gait.hip_front) - math.tan(gait.hip_rear))
-        self._way_a_tick = way / round(gait.stance_share * gait.ticks)
-        # Stand with each foot under its hip, as the other worlds do.
-        shank = leg.shank_length - leg.foot_radius
-        rest = leg.operating_height - leg.foot_radius
-        hip = math.acos(
-            (rest**2 + leg.thigh_length**2 - shank**2) / (2.0 * rest * leg.thigh_length)
+        front, rear = (
+            self._foot(hip, kinematics.knee_for_height(leg, hip, leg.operating_height))
+            for hip in (gait.hip_front, gait.hip_rear)
         )
+        self._way_a_tick = (front.ahead - rear.ahead) / round(gait.stance_share * gait.ticks)
+        # Stand as the other worlds do, each foot about under its hip.
+        reach = leg.thigh_length + leg.shank_length - leg.foot_radius
+        hip = math.acos((leg.operating_height - leg.foot_radius) / reach)
         self._standing = (hip, kinematics.knee_for_height(leg, hip, leg.operating_height))
         self.reset()
 
@@ -84,12 +84,11 @@ class FakeWorld:
 
     def step(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
         """Advance by one tick; a leg with ``None`` holds both its joints still."""
-        moved = tuple(
+        self._tick += 1
+        self._senses = tuple(
             self._move(sense, command)
             for sense, command in zip(self._senses, commands, strict=True)
         )
-        self._tick += 1
-        self._senses = moved
         if self._tick in self._falls_at:
             self._falls += 1
             self._senses = self._stand(restart=True)
@@ -99,7 +98,7 @@ class FakeWorld:
         hip, knee = self._standing
         foot = self._foot(hip, knee)
         sense = self._sense(hip, knee, 0.0, 0.0, foot, foot, slip=0.0)
-        return (sense._replace(tick=self._tick, restart=restart),) * len(self.legs)
+        return (sense._replace(restart=restart),) * len(self.legs)
 
     def _move(self, sense: LegSense, command: LegCommand | None) -> LegSense:
         """Return what a leg senses after a tick with a command."""
@@ -110,7 +109,7 @@ class FakeWorld:
             knee = max(0.0, min(leg.knee_max, knee + command.knee_speed * tick_s))
         before, after = self._foot(sense.hip, sense.knee), self._foot(hip, knee)
         slip = 0.0
-        if after.depth > 0.0:
+        if before.depth > 0.0 and after.depth > 0.0:
             slip = abs(after.ahead - before.ahead + self._way_a_tick)
         hip_speed, knee_speed = (hip - sense.hip) / tick_s, (knee - sense.knee) / tick_s
         return self._sense(hip, knee, hip_speed, knee_speed, before, after, slip=slip)
@@ -126,10 +125,10 @@ class FakeWorld:
         *,
         slip: float,
     ) -> LegSense:
-        """Return a leg's senses at the next tick; ``before`` and ``after`` are the tick's ends."""
+        """Return a leg's senses; ``before`` and ``after`` are the ends of the tick before."""
         first, last = self._force(before), self._force(after)
         return LegSense(
-            self._tick + 1,
+            self._tick,
             hip,
             knee,
             hip_speed,

@@ -70,7 +70,7 @@ class SimNode(Node):  # type: ignore[misc]
         self._realtime = options["mode"] == "realtime"
         self._patience = options["patience"]
         self._tick_ns, self._ticks = params.gait.tick_ns, params.gait.ticks
-        self._last = options["cycles"] * self._ticks or math.inf
+        self._last = options["cycles"] * self._ticks if options["cycles"] >= 0 else math.inf
         self._tick = 0
         self._phase: Phase | None = None
         self._commands: dict[str, LegCommand] = {}

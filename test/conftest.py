@@ -28,7 +28,13 @@ SIM = find_spec("pybullet") is not None
 collect_ignore = (
     []
     if ROS and SIM
-    else ["test_wire.py", "test_nodes.py", "test_graph.py", "test_processes.py", "test_installed.py"]
+    else [
+        "test_wire.py",
+        "test_nodes.py",
+        "test_graph.py",
+        "test_processes.py",
+        "test_installed.py",
+    ]
 )
 
 # The same examples every time; a slow machine fails no test.
@@ -163,11 +169,20 @@ class Ros:
         self._nodes.append(node)
         return node
 
-    def remove(self, node: Any) -> None:
-        """Destroy ``node`` now."""
-        self._nodes.remove(node)
-        self._executor.remove_node(node)
-        node.destroy_node()
+    def remove(self, *nodes: Any) -> None:
+        """Destroy ``nodes`` now: the executor lets go of them while it is spun."""
+        gone = {node.get_fully_qualified_name() for node in nodes}
+        for node in nodes:
+            self._nodes.remove(node)
+            self._executor.remove_node(node)
+            node.destroy_node()
+        if nodes != (self.node,):
+            self.spin_until(lambda: not gone & self.alive(), f"{gone} destroyed")
+
+    def alive(self) -> set[str]:
+        """Return the names of all nodes on the graph."""
+        names = self.node.get_node_names_and_namespaces()
+        return {f"{namespace.rstrip('/')}/{name}" for name, namespace in names}
 
     def spin_once(self, timeout: float = 0.02) -> None:
         """Let one callback run, or wait a moment for one."""
@@ -193,7 +208,7 @@ class Ros:
             self.spin_until(publisher.get_subscription_count, f"{topic.name} is subscribed to")
         return publisher
 
-    def messages(self, topic: Any, *, matched: bool = True) -> list[Any]:
+    def messages(self, topic: Any, *, matched: bool = True, raw: bool = False) -> list[Any]:
         """Subscribe to one of ``topics`` and return the list that its messages will be put in."""
         from rclpy.qos import QoSProfile
 
@@ -201,11 +216,9 @@ class Ros:
         qos = QoSProfile(
             depth=100_000, reliability=topic.qos.reliability, durability=topic.qos.durability
         )
-        subscription = self.node.create_subscription(topic.type, topic.name, heard.append, qos)
+        subscription = self.node.create_subscription(topic.type, topic.name, heard.append, qos, raw=raw)
         if matched:
-            self.spin_until(
-                subscription.handle.get_publisher_count, f"{topic.name} is published"
-            )
+            self.spin_until(subscription.handle.get_publisher_count, f"{topic.name} is published")
         return heard
 
     def client(self, service: Any) -> Any:
@@ -214,9 +227,7 @@ class Ros:
         self.spin_until(client.service_is_ready, f"{service.name} is served")
         return client
 
-    def call(
-        self, client: Any, request: Any, also: Callable[[float], None] | None = None
-    ) -> Any:
+    def call(self, client: Any, request: Any, also: Callable[[float], None] | None = None) -> Any:
         """Call a service and return its answer."""
         future = client.call_async(request)
         self.spin_until(future.done, f"{client.srv_name} answers", also)
@@ -224,10 +235,9 @@ class Ros:
 
     def close(self) -> None:
         """Destroy all, and hold that nothing is left in the context."""
-        for node in self._nodes[:0:-1]:
-            self.remove(node)
+        self.remove(*self._nodes[:0:-1])
         gc.collect()  # nodes whose constructor raised
-        left = set(self.node.get_node_names()) - {"onlooker"}
+        left = self.alive() - {"/onlooker"}
         self.remove(self.node)
         self._executor.shutdown()
         self.context.try_shutdown()

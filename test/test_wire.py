@@ -85,8 +85,7 @@ def test_a_sense_survives_bit_for_bit(leg: str, sense: LegSense) -> None:
 def test_ros_reads_a_sense_as_it_was_meant(leg: str, sense: LegSense) -> None:
     """Rclpy finds in our bytes the names, numbers and stamp that the table of topics promises."""
     joints, contact = (
-        deserialize_message(data, JointState)
-        for data in wire.SenseWire(leg, TICK_NS).pack(sense)
+        deserialize_message(data, JointState) for data in wire.SenseWire(leg, TICK_NS).pack(sense)
     )
     for message in (joints, contact):
         stamp = message.header.stamp
@@ -416,8 +415,8 @@ def test_an_empty_push_is_no_push() -> None:
 @pytest.mark.parametrize(
     ("bad", "names"),
     [
-        (GOOD._replace(cells_sha256="0" * 64), "other parameters"),
-        (GOOD._replace(cells_sha256=""), "other parameters"),
+        (GOOD._replace(cells_sha256="0" * 64), "cells"),
+        (GOOD._replace(cells_sha256=""), "cells"),
         (GOOD._replace(leg=-1), "leg -1"),
         (GOOD._replace(epoch=-1), "epoch -1"),
         (GOOD._replace(run=""), "run ''"),

@@ -1,4 +1,4 @@
-"""First light: does a leg learn alone, and do four of them then walk? (issue of the whole path)
+"""First light: one leg learns alone, then four of them walk, beside their baselines.
 
 For each seed one leg is trained by the plain rule; then four walkers use the same body: legs with
 the trained table, a knee written by hand, a random knee, and legs that start from nothing.

@@ -25,12 +25,15 @@ ARGUMENTS = {
     "cycles": ("", "stop after so many cycles of the pattern generator" + UNSET),
     "seed": ("", "seed of the world and the legs" + UNSET),
     "gui": ("false", "show PyBullet's window"),
+    "mode": ("lockstep", "lockstep: wait for all commands; realtime: never"),
 }
 
 
 def start(context: LaunchContext) -> list[Node]:
     """Return one node for each part of the graph, with the parameters given as arguments."""
     argument = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    trainer = argument["world"] == "trainer"
+    stage = {"stage": "train" if trainer else "walk"}
     params_file = [argument["params_file"]] if argument["params_file"] else []
 
     def given(**kinds: type) -> dict[str, ParameterValue]:
@@ -57,14 +60,14 @@ def start(context: LaunchContext) -> list[Node]:
         node(
             "sim_node",
             "sim_node",
-            given(world=str, cycles=int, seed=int, gui=bool),
+            given(world=str, cycles=int, seed=int, gui=bool, mode=str),
             on_exit=[Shutdown(reason="the world has ended")],
         ),
         node("cpg_node", "cpg_node", {}),
-        node("table_node", "table_node", given(table=str, save=str)),
+        node("table_node", "table_node", {**stage, **given(table=str, save=str, seed=int)}),
         *(
-            node("leg_node", f"leg_{leg}", {"leg": leg, **given(seed=int)})
-            for leg in (LEGS if argument["world"] == "walker" else (TRAINER_LEG,))
+            node("leg_node", f"leg_{leg}", {"leg": leg, **stage, **given(seed=int)})
+            for leg in ((TRAINER_LEG,) if trainer else LEGS)
         ),
     ]
 

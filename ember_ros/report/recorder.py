@@ -12,6 +12,7 @@ import json
 import math
 import statistics
 import struct
+import time
 from array import array
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -100,6 +101,8 @@ class Recorder:
         self._first_fall: int | None = None
         self._absences = dict.fromkeys(legs, 0)
         self._folder = folder
+        self._began: float | None = None  # wall time, for the summary alone
+        self._wall = 0.0
         self._file: TextIO | None = None
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
@@ -115,6 +118,8 @@ class Recorder:
         body: BodyState,
     ) -> None:
         """Take one complete tick: what was sensed at it, and what was commanded for it."""
+        if self._began is None:
+            self._began = time.perf_counter()
         self._end_tick(senses, body)
         for sense, command in zip(senses, commands, strict=True):
             self._senses += _SENSE.pack(*sense)
@@ -130,6 +135,7 @@ class Recorder:
     def finish(self, senses: Sequence[LegSense], body: BodyState) -> None:
         """Take the senses after the last tick, end the last cycle, and close the file."""
         if self._phase is not None:
+            self._wall = time.perf_counter() - (self._began or 0.0)
             self._end_tick(senses, body)
             if self._poses:
                 self._end_cycle()
@@ -217,6 +223,8 @@ class Recorder:
             "absent_ticks": dict(self._absences),
             "commands_sha256": self._commands_hash.hexdigest(),
             "senses_sha256": self._senses_hash.hexdigest(),
+            "wall_s": round(self._wall, 3),
+            "ticks_per_s": round(len(traces) / self._wall, 1) if self._wall else None,
         }
 
 

@@ -1,0 +1,725 @@
+"""All nodes of a robot in one process: the bits of the loop, whatever strangers say or who dies."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool, Trigger
+
+from cpg_node.node import CpgNode
+from ember_ros import topics, wire
+from ember_ros.errors import EmberError
+from ember_ros.graph import Graph, node_options
+from ember_ros.params import Params, as_dict, cells_sha256, replace
+from ember_ros.plan import Plan
+from ember_ros.signals import LEGS, LegCommand, LegSense, Pair
+from leg_node.node import LegNode
+from leg_node.shared import LocalCopy, Push, SharedTable
+from leg_node.table import empty_table, load_table, save_table
+from leg_node.table_node import TableNode
+from sim_node.node import SimNode
+
+if TYPE_CHECKING:
+    from test.conftest import Bits, Ros
+
+CYCLES = 20
+TICKS = 32
+TICK_NS = Params().gait.tick_ns
+
+
+def params(**changes: Any) -> Params:
+    """Return the defaults with some changed; ``__`` stands for the dot."""
+    return replace(Params(), {name.replace("__", "."): value for name, value in changes.items()})
+
+
+def walk(seed: int = 3, sync_every: int = 32, **options: Any) -> Plan:
+    """Return a plan of a walker that learns."""
+    return Plan("walker", CYCLES, seed=seed, params=params(walk__sync_every=sync_every), **options)
+
+
+PLANS = {
+    "walker": walk(),
+    "walker, one table for all": walk(sync_every=1),
+    "walker, the end within an epoch": walk(sync_every=48, seed=4),
+    "walker, frozen": walk(learning=False),
+    "walker, scripted": walk(policy="scripted"),
+    "walker, random": walk(policy="random"),
+    "trainer": Plan("trainer", 2 * CYCLES, seed=5),
+    "trainer, 16 ticks": Plan("trainer", 8, seed=6, params=params(gait__ticks=16)),
+}
+
+
+def spun(graph: Graph) -> Graph:
+    """Run a graph to its end within a deadline."""
+    deadline = time.monotonic() + 60.0
+    graph.run(lambda: time.monotonic() < deadline)
+    assert graph.sim.done
+    return graph
+
+
+def refusals(nodes: dict[str, Any]) -> dict[str, int]:
+    """Return what each node that counts refused."""
+    return {name: node.refused for name, node in nodes.items() if name != "cpg_node"}
+
+
+# -- the same bits -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("plan", PLANS.values(), ids=PLANS.keys())
+def test_the_graph_ends_with_the_bits_of_the_loop(
+    ros: Ros,
+    by_loop: Callable[[Plan], Bits],
+    by_graph: Callable[[Any], Bits],
+    plan: Plan,
+) -> None:
+    """Table, senses and commands are equal, bit for bit, and nothing healthy is refused."""
+    graph = Graph(plan, context=ros.context)
+    try:
+        spun(graph)
+        assert by_graph(graph) == by_loop(plan)
+        assert not any(refusals(graph.nodes).values())
+        assert len(graph.sim.recorder.body_rows()) == plan.cycles
+    finally:
+        graph.close()
+
+
+def test_a_graph_runs_twice_the_same_way_and_from_a_table(
+    ros: Ros,
+    tmp_path: Path,
+    by_loop: Callable[[Plan], Bits],
+    by_graph: Callable[[Any], Bits],
+) -> None:
+    """Two graphs, one after the other, end alike, also when they begin with what was learnt."""
+    file = tmp_path / "table.npz"
+    first = Graph(PLANS["walker"], context=ros.context)
+    spun(first)
+    save_table(file, first.nodes["table_node"].shared.table, Params(), 3)
+    first.close()
+    plan = walk(table=file)
+    ends = []
+    for _ in range(2):
+        graph = Graph(plan, context=ros.context)
+        ends.append(by_graph(spun(graph)))
+        graph.close()
+    assert ends[0] == ends[1] == by_loop(plan)
+    assert ends[0] != by_loop(PLANS["walker"])
+
+
+def test_two_robots_in_two_namespaces_do_not_feel_each_other(
+    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+) -> None:
+    """In one domain, at once, tick by tick in turn, each ends with the bits of its own loop."""
+    plans = {"robot_1": walk(seed=8), "deep/robot_2": walk(seed=9, sync_every=1)}
+    graphs = {
+        name: Graph(plan, context=ros.context, namespace=name) for name, plan in plans.items()
+    }
+    try:
+        deadline = time.monotonic() + 60.0
+        while not all(graph.sim.done for graph in graphs.values()):
+            assert time.monotonic() < deadline
+            for graph in graphs.values():
+                graph.spin_once(0.0)
+        for name, graph in graphs.items():
+            graph.finish()
+            assert by_graph(graph) == by_loop(plans[name])
+            assert not any(refusals(graph.nodes).values())
+    finally:
+        for graph in graphs.values():
+            graph.close()
+
+
+def test_who_looks_on_changes_nothing(
+    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+) -> None:
+    """With every topic heard, odometry included, the bits are the same, and all topics speak."""
+    graph = Graph(walk(), context=ros.context)
+    heard = {
+        topic.name: ros.messages(topic)
+        for topic in (
+            topics.CLOCK,
+            topics.PHASE,
+            topics.FALLS,
+            topics.ODOMETRY,
+            topics.DIAGNOSTICS,
+            *(kind(leg) for leg in LEGS
+              for kind in (topics.joint_states, topics.contact, topics.command)),
+        )
+    }  # fmt: skip
+    deadline = time.monotonic() + 60.0
+    while not graph.sim.done and time.monotonic() < deadline:
+        graph.spin_once(0.001)
+        ros.spin_once(0.0)
+    graph.finish()
+    assert by_graph(graph) == by_loop(walk())
+    ros.spin_until(lambda: len(heard["rear_right/command"]) == CYCLES * TICKS, "all is heard")
+    clock = [message.clock for message in heard["clock"]]
+    assert [c.sec * 10**9 + c.nanosec for c in clock] == [
+        n * TICK_NS for n in range(CYCLES * TICKS)
+    ]
+    assert [message.data for message in heard["cpg/phase"]] == [
+        n / TICKS for n in range(CYCLES * TICKS)
+    ]
+    assert heard["odometry"]
+    assert {m.header.frame_id for m in heard["odometry"]} == {"odom"}
+    for message in heard["diagnostics"]:
+        assert [s.name for s in message.status] == ["sim_node", *LEGS]
+        assert {s.level for s in message.status} == {DiagnosticStatus.OK}
+    graph.close()
+
+
+# -- what is wrong from the start --------------------------------------------------------------
+
+
+def test_a_graph_that_cannot_be_made_leaves_nothing(ros: Ros, tmp_path: Path) -> None:
+    """A missing table raises an EmberError; the fixture sees that no node is left."""
+    with pytest.raises(EmberError, match="there is no table"):
+        Graph(walk(table=tmp_path / "none.npz"), context=ros.context)
+
+
+def test_a_graph_that_is_stopped_early_keeps_what_was_learnt(ros: Ros) -> None:
+    """Stopped in the middle of an epoch, every update that a leg made is in the table."""
+    graph = Graph(walk(), context=ros.context)
+    graph.run(lambda: graph.sim.world.observe()[0].tick < 100)
+    assert not graph.sim.done
+    table = graph.nodes["table_node"].shared.table
+    acted, falls = graph.sim.world.observe()[0].tick, graph.sim.world.body().falls
+    # Each leg has learnt of every tick but the first, and may have acted on the present one.
+    assert 4 * (acted - 1 - falls) <= table.visits.sum() <= 4 * (acted - falls)
+    graph.close()
+    graph.close()  # twice is once
+
+
+# -- falls -------------------------------------------------------------------------------------
+
+
+def test_a_fall_is_counted_told_and_credited_to_nobody(
+    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+) -> None:
+    """Each fall is said on ``falls``, sets every leg's restart bit for one tick, and at that tick no leg learns."""
+    plan = Plan(
+        "walker", CYCLES, seed=1, policy="random", params=params(walker__hip_half_width=0.1)
+    )
+    assert by_loop(plan).falls >= 3
+    graph = Graph(plan, context=ros.context)
+    falls = ros.messages(topics.FALLS)
+    contacts = {leg: ros.messages(topics.contact(leg)) for leg in LEGS}
+    spun(graph)
+    assert by_graph(graph) == by_loop(plan)
+    happened = by_loop(plan).falls
+    ros.spin_until(
+        lambda: all(len(heard) == CYCLES * TICKS for heard in contacts.values()), "all is heard"
+    )
+    ros.spin_until(lambda: len(falls) > happened, "all falls are heard")
+    assert [message.data for message in falls] == list(range(happened + 1))
+    column = wire.CONTACT.index("restart")
+    restarts = {
+        leg: [n for n, message in enumerate(heard) if message.position[column]]
+        for leg, heard in contacts.items()
+    }
+    assert len(restarts["front_left"]) == happened
+    assert restarts == dict.fromkeys(LEGS, restarts["front_left"])
+    # Every tick is credited to the one before, but the first tick and those after a fall.
+    visits = graph.nodes["table_node"].shared.table.visits.sum()
+    assert visits == 4 * (CYCLES * TICKS - 1 - happened)
+    graph.close()
+
+
+# -- strangers ---------------------------------------------------------------------------------
+
+
+class Stranger:
+    """Publishes on a robot's own topics beside its nodes, and knows what time it is."""
+
+    def __init__(self, ros: Ros, graph: Graph) -> None:
+        """Match a publisher with every topic that a node of the robot hears."""
+        self.graph = graph
+        kinds = (topics.joint_states, topics.contact, topics.command)
+        every = [topics.PHASE, *(kind(leg) for leg in LEGS for kind in kinds)]
+        self._publishers = {topic.name: ros.publisher(topic) for topic in every}
+        self.senses = wire.SenseWire("rear_left", TICK_NS)
+        self.commands = wire.CommandWire("rear_left", TICK_NS)
+        self.turn = 0
+
+    @property
+    def tick(self) -> int:
+        """Return the present tick of the world."""
+        senses: tuple[LegSense, ...] = self.graph.sim.world.observe()
+        return senses[0].tick
+
+    def say(self, name: str, data: bytes) -> None:
+        """Publish bytes."""
+        self._publishers[name].publish(data)
+
+    def joints(self, tick: int, **changes: Any) -> bytes:
+        """Return ``joint_states`` of a tick."""
+        return self.senses.pack(self._sense(tick)._replace(**changes))[0]
+
+    def contact(self, tick: int, **changes: Any) -> bytes:
+        """Return a ``contact`` of a tick."""
+        return self.senses.pack(self._sense(tick)._replace(**changes))[1]
+
+    def command(self, tick: int, **changes: Any) -> bytes:
+        """Return a ``command`` of a tick."""
+        return self.commands.pack(LegCommand(tick, 5.0, -5.0, 1.0, 1.0)._replace(**changes))
+
+    @staticmethod
+    def _sense(tick: int) -> LegSense:
+        return LegSense(tick, 0.3, 0.3, 1.0, 1.0, 9.0, 9.0, 0.1, 0.001, False, True, False)
+
+
+LEG, SIM = ("leg_rear_left",), ("sim_node",)
+JOINTS, CONTACT, COMMAND = (
+    kind("rear_left").name for kind in (topics.joint_states, topics.contact, topics.command)
+)
+PHASE = topics.PHASE.name
+HEARERS_OF_PHASE = (*(f"leg_{leg}" for leg in LEGS), *SIM)
+NAN = float("nan")
+SAYS: dict[str, tuple[tuple[str, ...], str, Callable[[Stranger], bytes]]] = {
+    "joints not finite": (LEG, JOINTS, lambda s: s.joints(s.tick, knee=NAN)),
+    "joints of another leg's names": (LEG, JOINTS, lambda s: s.contact(s.tick)),
+    "joints that are no message": (LEG, JOINTS, lambda s: b"\0\1\0\0nonsense"),
+    "joints between ticks": (
+        LEG, JOINTS, lambda s: wire.SenseWire("rear_left", TICK_NS - 1).pack(s._sense(7))[0]
+    ),
+    "joints of the past": (LEG, JOINTS, lambda s: s.joints(s.tick - 2)),
+    "contact not finite": (LEG, CONTACT, lambda s: s.contact(s.tick, slip=float("inf"))),
+    "contact with a bit of 2": (LEG, CONTACT, lambda s: s.contact(s.tick, hair=2)),
+    "contact cut short": (LEG, CONTACT, lambda s: s.contact(s.tick)[:-9]),
+    "contact of the past": (LEG, CONTACT, lambda s: s.contact(s.tick - 2)),
+    "command not finite": (SIM, COMMAND, lambda s: s.command(s.tick, knee_speed=NAN)),
+    "command of negative torque": (SIM, COMMAND, lambda s: s.command(s.tick, hip_torque=-1.0)),
+    "command that is no message": (SIM, COMMAND, lambda s: b""),
+    "command of the past": (SIM, COMMAND, lambda s: s.command(s.tick - 1)),
+    "command of the future": (SIM, COMMAND, lambda s: s.command(s.tick + 1 + s.turn)),
+    "phase not finite": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase(NAN)),
+    "phase under 0": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase(-1.0)),
+    "phase between ticks": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase(0.3)),
+    "phase of the past": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase((s.tick - 2) / 32)),
+    "phase of the future": (SIM, PHASE, lambda s: wire.pack_phase((s.tick + 2 + s.turn) / 32)),
+}  # fmt: skip
+
+
+def disturbed(ros: Ros, say: Callable[[Stranger], bool]) -> tuple[Graph, int]:
+    """Run a graph; let a stranger speak at every 23rd event, until it returns False.
+
+    Return the graph and how often the stranger spoke.
+    """
+    graph = Graph(walk(), context=ros.context)
+    stranger = Stranger(ros, graph)
+    deadline = time.monotonic() + 60.0
+    events = 0
+    while not graph.sim.done and time.monotonic() < deadline:
+        graph.spin_once(0.001)
+        events += 1
+        if events % 23 == 0 and 3 < stranger.tick < CYCLES * TICKS - 4 and say(stranger):
+            stranger.turn += 1
+    assert graph.sim.done
+    graph.finish()
+    return graph, stranger.turn
+
+
+@pytest.mark.parametrize("what", SAYS)
+def test_what_a_stranger_says_is_refused_and_counted_and_changes_no_bit(
+    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits], what: str
+) -> None:
+    """Malformed, of the past or of the future: each message is counted by who hears it."""
+    hearers, topic, make = SAYS[what]
+
+    def say(stranger: Stranger) -> bool:
+        nodes = stranger.graph.nodes
+        if any(nodes[name].refused < stranger.turn for name in hearers):
+            return False  # the one before is still on its way
+        stranger.say(topic, make(stranger))
+        return True
+
+    graph, said = disturbed(ros, say)
+    counted = refusals(graph.nodes)
+    ends = by_graph(graph)
+    graph.close()
+    assert said > 100
+    assert ends == by_loop(walk())
+    assert counted == {name: said * (name in hearers) for name in counted}
+
+
+@pytest.mark.parametrize("source", ["joints", "contact", "phase"])
+@pytest.mark.parametrize("ahead", [1, 5])
+def test_what_a_leg_hears_of_the_future_is_never_used(
+    ros: Ros,
+    by_loop: Callable[[Plan], Bits],
+    by_graph: Callable[[Any], Bits],
+    source: str,
+    ahead: int,
+) -> None:
+    """A flood of senses or phases of ticks to come, the next one too, changes no bit."""
+
+    def say(stranger: Stranger) -> bool:
+        tick = stranger.tick + ahead + stranger.turn % 50 * (ahead > 1)
+        if source == "phase":
+            stranger.say(PHASE, wire.pack_phase(tick / 32))
+        elif source == "joints":
+            stranger.say(JOINTS, stranger.joints(tick))
+        else:
+            stranger.say(CONTACT, stranger.contact(tick))
+        return True
+
+    graph, said = disturbed(ros, say)
+    ends = by_graph(graph)
+    graph.close()
+    assert said > 400
+    assert ends == by_loop(walk())
+
+
+def test_old_messages_that_agree_by_chance_do_not_begin_time_anew(
+    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+) -> None:
+    """Joints, contact and phase of tick 3, told ticks apart while time goes on, are just old."""
+
+    def say(stranger: Stranger) -> bool:
+        which = stranger.turn % 3
+        if stranger.tick < 10 * (stranger.turn + 1):
+            return False
+        stranger.say(
+            (JOINTS, CONTACT, PHASE)[which],
+            (stranger.joints(3), stranger.contact(3), wire.pack_phase(3 / 32))[which],
+        )
+        return True
+
+    graph, said = disturbed(ros, say)
+    ends = by_graph(graph)
+    graph.close()
+    assert said > 30
+    assert ends == by_loop(walk())
+
+
+def test_a_malformed_push_during_a_run_changes_no_bit(
+    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+) -> None:
+    """A stranger's push of nonsense is refused with a reason; the run ends as without it."""
+    graph = Graph(walk(), context=ros.context)
+    push = ros.client(topics.PUSH)
+    good = Push(0, "stranger", 3, cells_sha256(Params()), (Pair(3, 7, 1.0),))
+    for count, bad in enumerate(
+        (good._replace(cells_sha256="?"), good._replace(pairs=(Pair(3, -7, 1.0),))), 1
+    ):
+        for tick in (100, 200):
+            while graph.sim.world.observe()[0].tick < tick * count:
+                graph.spin_once(0.01)
+            result = ros.call(push, wire.write_push(bad), graph.spin_once).result
+            assert not result.successful
+            assert result.reason
+    spun(graph)
+    assert by_graph(graph) == by_loop(walk())
+    assert refusals(graph.nodes) == {**dict.fromkeys(refusals(graph.nodes), 0), "table_node": 4}
+    graph.close()
+
+
+def test_saving_during_a_run_changes_no_bit(
+    ros: Ros, tmp_path: Path, by_loop: Callable[[Plan], Bits]
+) -> None:
+    """Saved again and again while epochs come and go, the run ends as without."""
+    plan = walk(sync_every=2)
+    robot = Robot(ros, plan, table_node={"save": str(tmp_path / "table.npz")})
+    save = ros.client(topics.SAVE)
+    future = save.call_async(Trigger.Request())
+    saves = 0
+    deadline = time.monotonic() + 60.0
+    while not robot.sim.done and time.monotonic() < deadline:
+        ros.spin_once()
+        if future.done():
+            assert future.result().success
+            saves += 1
+            future = save.call_async(Trigger.Request())
+    assert robot.finish() == by_loop(plan)
+    assert saves > 10
+    assert load_table(tmp_path / "table.npz", plan.params)[0].sha256() == by_loop(plan).table
+
+
+# -- who dies and who comes back ---------------------------------------------------------------
+
+KINDS = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
+
+
+class Robot:
+    """The nodes of a plan one by one, so that each can die and come back."""
+
+    def __init__(self, ros: Ros, plan: Plan, **options: dict[str, Any]) -> None:
+        """Start all nodes, with some options changed."""
+        self._ros, self._plan = ros, plan
+        self.nodes: dict[str, Any] = {}
+        for name in node_options(plan, None):
+            self.start(name, **options.get(name, {}))
+
+    @property
+    def sim(self) -> Any:
+        """Return the sim node."""
+        return self.nodes["sim_node"]
+
+    @property
+    def tick(self) -> int:
+        """Return the world's present tick."""
+        tick: int = self.sim.world.observe()[0].tick
+        return tick
+
+    def start(self, name: str, **changes: Any) -> Any:
+        """Start a node."""
+        numbers = {
+            f"{group}.{field}": value
+            for group, fields in as_dict(self._plan.params).items()
+            for field, value in fields.items()
+        }
+        given = {**numbers, **node_options(self._plan, None)[name], **changes}
+        leg = {"node_name": name} if name.startswith("leg_") else {}
+        node = KINDS.get(name, LegNode)(
+            context=self._ros.context,
+            parameter_overrides=[Parameter(key, value=value) for key, value in given.items()],
+            **leg,
+        )
+        self.nodes[name] = self._ros.add(node)
+        return node
+
+    def kill(self, name: str) -> Any:
+        """Destroy a node where it stands."""
+        node = self.nodes.pop(name)
+        self._ros.remove(node)
+        return node
+
+    def walk_to(self, tick: int) -> None:
+        """Spin until the world is at a tick."""
+        self._ros.spin_until(lambda: self.tick >= tick or self.sim.done, f"tick {tick}")
+
+    def finish(self) -> Bits:
+        """Run to the end and return the bits."""
+        self._ros.spin_until(lambda: self.sim.done, "the last tick")
+        for name, node in self.nodes.items():
+            if name != "table_node":
+                node.finish(self._ros.spin_once)
+        table = self.nodes["table_node"]
+        table.finish(self._ros.spin_once)
+        summary = self.sim.recorder.summary()
+        return (  # type: ignore[return-value]
+            table.shared.table.sha256(),
+            summary["senses_sha256"],
+            summary["commands_sha256"],
+            summary["falls"],
+        )
+
+
+def level(message: Any, name: str) -> tuple[bytes, str]:
+    """Return the level and the text of one status in a diagnostics message."""
+    (status,) = (s for s in message.status if s.name == name)
+    return status.level, status.message
+
+
+def test_a_leg_that_dies_is_absent_and_one_that_comes_back_is_present(ros: Ros) -> None:
+    """The others walk on without it, its joints held still; a new one is waited for again."""
+    robot = Robot(ros, walk(), sim_node={"patience": 0.2, "cycles": 1000})
+    diagnostics = ros.messages(topics.DIAGNOSTICS)
+    robot.walk_to(40)
+    assert level(diagnostics[-1], "rear_left") == (DiagnosticStatus.OK, "present")
+    robot.kill("leg_rear_left")
+    died = robot.tick
+    robot.walk_to(died + 64)
+    assert level(diagnostics[-1], "rear_left") == (DiagnosticStatus.ERROR, "absent")
+    assert level(diagnostics[-1], "rear_right") == (DiagnosticStatus.OK, "present")
+    absent = robot.sim.recorder.summary()["absent_ticks"]
+    assert absent["rear_left"] >= 63
+    assert [absent[leg] for leg in LEGS if leg != "rear_left"] == [0, 0, 0]
+    robot.start("leg_rear_left")
+    ros.spin_until(
+        lambda: level(diagnostics[-1], "rear_left") == (DiagnosticStatus.OK, "present"),
+        "rear_left is back",
+    )
+    missed = robot.sim.recorder.summary()["absent_ticks"]["rear_left"]
+    back = robot.tick
+    robot.walk_to(back + 100)
+    assert robot.sim.recorder.summary()["absent_ticks"]["rear_left"] <= missed + 1
+
+
+def test_a_cpg_that_dies_stops_the_world_and_a_new_one_takes_it_on(
+    ros: Ros, by_loop: Callable[[Plan], Bits]
+) -> None:
+    """The world stands still and says so; the new CPG knows the phase from the clock: no bit is lost."""
+    robot = Robot(ros, walk(), sim_node={"patience": 0.2})
+    diagnostics = ros.messages(topics.DIAGNOSTICS)
+    robot.walk_to(40)
+    robot.kill("cpg_node")
+    ros.spin_until(
+        lambda: level(diagnostics[-1], "sim_node") == (DiagnosticStatus.WARN, "no phase"),
+        "diagnostics say that there is no phase",
+    )
+    stopped = robot.tick
+    count = len(diagnostics)
+    ros.spin_until(lambda: len(diagnostics) > count + 2, "diagnostics go on")
+    assert robot.tick == stopped
+    robot.start("cpg_node")
+    assert robot.finish() == by_loop(walk())
+    assert not any(refusals(robot.nodes).values())
+
+
+def test_a_table_node_can_be_changed_for_another_that_has_its_file(
+    ros: Ros, tmp_path: Path, by_loop: Callable[[Plan], Bits]
+) -> None:
+    """Stopped and started again between two epochs, with what it saved, it is the same table."""
+    file = str(tmp_path / "table.npz")
+    robot = Robot(ros, walk(), table_node={"save": file})
+    for tick in (3 * 32 + 10, 9 * 32 + 10):
+        robot.walk_to(tick)
+        robot.nodes["table_node"].finish(ros.spin_once)
+        robot.kill("table_node")
+        robot.start("table_node", table=file, save=file)
+        ros.client(topics.PULL)
+        ros.client(topics.PUSH)
+    assert robot.finish() == by_loop(walk())
+
+
+def test_legs_go_on_without_the_table_and_give_a_new_one_what_they_kept(ros: Ros) -> None:
+    """Nothing that was learnt is lost or doubled between the table that died and the new one."""
+    robot = Robot(ros, walk(), sim_node={"cycles": 2 * CYCLES, "patience": 5.0})
+    robot.walk_to(200)
+    old = robot.kill("table_node")
+    robot.walk_to(400)
+    new = robot.start("table_node")
+    robot.walk_to(600)
+    ros.spin_until(
+        lambda: new.shared.version and new.shared.table.visits.any(), "the new one is given"
+    )
+    robot.finish()
+    old.shared.merge()
+    ticks, falls = 2 * CYCLES * TICKS, robot.sim.recorder.summary()["falls"]
+    assert not any(robot.sim.recorder.summary()["absent_ticks"].values())
+    learnt = old.shared.table.visits.sum() + new.shared.table.visits.sum()
+    assert learnt == 4 * (ticks - 1 - falls)
+
+
+def test_frozen_legs_come_back_to_a_table_that_comes_back(ros: Ros) -> None:
+    """Legs that do not learn push nothing; they pull again all the same once there is a table."""
+    robot = Robot(ros, walk(learning=False), sim_node={"cycles": 10**6, "patience": 5.0})
+    robot.walk_to(100)
+    robot.kill("table_node")
+    robot.walk_to(200)
+    robot.start("table_node")
+    push = ros.client(topics.PUSH)
+    run = Push(0, "a teacher", 0, cells_sha256(Params()), (Pair(3, 7, 0.25),))
+    assert ros.call(push, wire.write_push(run)).result.successful
+    shared = robot.nodes["table_node"].shared
+    ros.spin_until(lambda: shared.table.visits[7] == 1, "somebody pulls")
+
+
+def test_a_new_world_begins_time_anew_and_legs_go_on(ros: Ros) -> None:
+    """Legs notice that time began anew and answer its first tick; what they learnt stays.
+
+    Nothing is credited from the old world to the new one, nothing is lost, nothing counted twice.
+    """
+    robot = Robot(ros, walk(), sim_node={"cycles": 1000})
+    commands = {leg: ros.messages(topics.command(leg), raw=True) for leg in LEGS}
+    robot.walk_to(100)
+    falls = robot.kill("sim_node").recorder.summary()["falls"]
+    acted = {leg: [wire.CommandWire(leg, TICK_NS).read(d).tick for d in commands[leg]]
+             for leg in LEGS}  # fmt: skip
+    for leg in LEGS:
+        assert acted[leg] == list(range(len(acted[leg])))
+        commands[leg].clear()
+    robot.start("sim_node", cycles=CYCLES)
+    robot.walk_to(5)
+    robot.finish()
+    assert len(robot.sim.recorder.body_rows()) == CYCLES
+    assert not any(robot.sim.recorder.summary()["absent_ticks"].values())
+    falls += robot.sim.recorder.summary()["falls"]
+    before = sum(map(len, acted.values()))
+    visits = robot.nodes["table_node"].shared.table.visits.sum()
+    assert visits == before + 4 * CYCLES * TICKS - 8 - 4 * falls
+
+
+def test_a_leg_in_a_new_life_lays_no_pair_twice() -> None:
+    """After time began anew a pull takes away what is merged, not what was pushed first."""
+    table, sha = empty_table(Params()), "cells"
+    shared = SharedTable(table, cells=sha, floor=0.1)
+    copy = LocalCopy(
+        empty_table(Params()), leg=0, run="one", cells=sha, floor=0.1, sync_every=32
+    )
+
+    def epoch(first: int, last: int) -> None:
+        upto = copy.pull_due(first)
+        if upto is not None:
+            copy.take(shared.pull(copy.version, upto), upto)
+        for tick in range(first, last + 1):
+            copy.learn(Pair(tick, tick % 7, tick / 9))
+        copy.close_epoch(last)
+        while (push := copy.push_due()) is not None:
+            shared.push(push)
+            copy.acknowledged(push)
+
+    for n in range(3):
+        epoch(32 * n, 32 * n + 31)
+    epoch(96, 100)
+    copy.restart(100, "two")
+    for n in range(5):
+        epoch(32 * n, 32 * n + 31)
+        assert copy.table.visits.sum() == 101 + 32 * (n + 1)
+    shared.merge()
+    assert shared.table.sha256() == copy.table.sha256()
+
+
+# -- learning off, and real time ---------------------------------------------------------------
+
+
+def test_learning_is_switched_off_for_the_whole_robot(ros: Ros) -> None:
+    """While it is off the shared table stays as it is, though the legs walk and push."""
+    robot = Robot(ros, walk(), sim_node={"cycles": 1000})
+    robot.walk_to(100)
+    answer = ros.call(ros.client(topics.LEARNING), SetBool.Request(data=False))
+    assert answer.success
+    shared = robot.nodes["table_node"].shared
+    robot.walk_to(robot.tick + 64)
+    before = shared.table.sha256()
+    robot.walk_to(robot.tick + 128)
+    assert shared.table.sha256() == before
+    assert not any(refusals(robot.nodes).values())
+
+
+def test_in_real_time_nobody_is_waited_for(ros: Ros) -> None:
+    """A leg that is gone stops nothing, the world is never faster than the wall, and all is said."""
+    plan = dataclasses.replace(walk(), params=params(gait__period=0.1))
+    began = time.monotonic()
+    robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000, "patience": 1000.0})
+    diagnostics = ros.messages(topics.DIAGNOSTICS)
+    robot.walk_to(20)
+    robot.kill("leg_front_right")
+    died = robot.tick
+    robot.walk_to(died + 64)
+    elapsed = time.monotonic() - began
+    assert robot.tick <= elapsed / plan.params.gait.tick_s + 1
+    ros.spin_until(
+        lambda: level(diagnostics[-1], "front_right") == (DiagnosticStatus.ERROR, "absent"),
+        "diagnostics say who is absent",
+    )
+    assert robot.sim.recorder.summary()["absent_ticks"]["front_right"] >= 62
+
+
+def test_in_real_time_the_world_stands_still_without_a_phase_and_goes_on_with_one(
+    ros: Ros,
+) -> None:
+    """The phase is what time is for the legs: without it nothing is stepped, in any mode."""
+    plan = dataclasses.replace(walk(), params=params(gait__period=0.1))
+    robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000})
+    robot.walk_to(20)
+    robot.kill("cpg_node")
+    ticks = itertools.count()
+    stopped = -1
+
+    def stands() -> bool:
+        nonlocal stopped
+        before, stopped = stopped, robot.tick
+        return before == stopped and next(ticks) > 30
+
+    ros.spin_until(stands, "the world stands still")
+    robot.start("cpg_node")
+    robot.walk_to(stopped + 40)

@@ -1,0 +1,729 @@
+"""Each node alone: its docstring, its parameters, its locality, the table's services."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+from array import array
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool, Trigger
+
+from cpg_node.node import CpgNode
+from ember_ros import topics, wire
+from ember_ros.errors import EmberError, ParameterError, TableError
+from ember_ros.loop import Loop
+from ember_ros.params import SPECS, Params, cells_sha256
+from ember_ros.plan import Plan
+from ember_ros.ros_params import OPTIONS
+from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Pair, Phase
+from leg_node.node import LegNode
+from leg_node.shared import Push
+from leg_node.table import empty_table, load_table, save_table
+from leg_node.table_node import TableNode
+from sim_node.node import SimNode
+
+if TYPE_CHECKING:
+    from test.conftest import Ros
+
+NODES = (SimNode, CpgNode, LegNode, TableNode)
+NEEDED: dict[Any, dict[str, Any]] = {LegNode: {"leg": "rear_left"}}
+"""Parameters without which a node does not start."""
+TICK_NS = Params().gait.tick_ns
+
+
+def given(parameters: dict[str, Any]) -> list[Parameter]:
+    """Return parameters as rclpy takes them."""
+    return [Parameter(name, value=value) for name, value in parameters.items()]
+
+
+def make(ros: Ros, kind: Any, namespace: str = "", /, **parameters: Any) -> Any:
+    """Return a node that spins; ``__`` in a parameter's name stands for the dot."""
+    named = {name.replace("__", "."): value for name, value in parameters.items()}
+    return ros.add(
+        kind(
+            context=ros.context,
+            namespace=namespace,
+            parameter_overrides=given({**NEEDED.get(kind, {}), **named}),
+        )
+    )
+
+
+# -- what a docstring promises -----------------------------------------------------------------
+
+
+def documented(kind: Any, section: str, legs: Sequence[str]) -> dict[str, str]:
+    """Return the names in a section of a node's docstring with their types, ``""`` for none."""
+    text = " ".join((kind.__doc__ or "").split())
+    found = re.search(rf"\b{section}: (.*?)(?=\b[A-Z][a-z]+: |$)", text)
+    names: dict[str, str] = {}
+    untyped: list[str] = []
+    for name, type_ in re.findall(r"``([^`]+)``|\(([\w/]+)\)", found[1] if found else ""):
+        if type_:
+            names |= dict.fromkeys(untyped, type_)
+            untyped.clear()
+        else:
+            each = [name.replace("<leg>", leg) for leg in legs] if "<leg>" in name else [name]
+            names |= dict.fromkeys(each, "")
+            untyped += each
+    return names
+
+
+def live(ros: Ros, what: str, node: Any) -> dict[str, str]:
+    """Return a node's endpoints as the graph shows them, names relative to its namespace.
+
+    What every rclpy node has, such as logs and parameter services, is left out.
+    """
+    get = getattr(ros.node, f"get_{what}_names_and_types_by_node")
+    namespace = node.get_namespace().rstrip("/")
+    names = {}
+    for name, types in get(node.get_name(), node.get_namespace()):
+        if name in ("/rosout", "/parameter_events") or name.startswith(
+            f"{namespace}/{node.get_name()}/"
+        ):
+            continue
+        assert name.startswith(f"{namespace}/"), f"{name} does not move with the namespace"
+        (type_,) = types
+        names[name.removeprefix(f"{namespace}/")] = re.sub("/(msg|srv)/", "/", type_)
+    return names
+
+
+def agree(promised: dict[str, str], held: dict[str, str]) -> bool:
+    """Return whether names agree, and types where the docstring gives them."""
+    return promised.keys() == held.keys() and all(
+        type_ in ("", held[name]) for name, type_ in promised.items()
+    )
+
+
+@pytest.mark.parametrize("world", ["walker", "trainer"])
+def test_a_sim_node_has_what_its_docstring_lists(ros: Ros, world: str) -> None:
+    """Topics of every leg of its world, of the types listed; no service, no client."""
+    node = make(ros, SimNode, "/a/b", world=world)
+    assert node.legs == (LEGS if world == "walker" else ("leg",))
+    published = documented(SimNode, "Publishes", node.legs)
+    assert len(published) == 4 + 2 * len(node.legs)
+    assert agree(published, live(ros, "publisher", node))
+    heard = documented(SimNode, "Subscribes", node.legs)
+    assert len(heard) == 1 + len(node.legs)
+    assert agree(heard, live(ros, "subscriber", node))
+    assert not live(ros, "client", node)
+    assert not live(ros, "service", node)
+
+
+@pytest.mark.parametrize("leg", [*LEGS, "leg"])
+def test_a_leg_has_its_own_topics_the_phase_and_the_table_alone(ros: Ros, leg: str) -> None:
+    """Locality on the live graph: exactly these endpoints, and no other, in any namespace."""
+    node = make(ros, LegNode, "/robot_3", leg=leg)
+    joint_state = "sensor_msgs/JointState"
+    assert live(ros, "subscriber", node) == {
+        f"{leg}/joint_states": joint_state,
+        f"{leg}/contact": joint_state,
+        "cpg/phase": "std_msgs/Float64",
+    }
+    assert live(ros, "publisher", node) == {f"{leg}/command": joint_state}
+    assert live(ros, "client", node) == {
+        "table/push": "rcl_interfaces/SetParametersAtomically",
+        "table/pull": "rcl_interfaces/GetParameters",
+    }
+    assert not live(ros, "service", node)
+    # and this is what its docstring says
+    assert agree(documented(LegNode, "Subscribes", [leg]), live(ros, "subscriber", node))
+    assert agree(documented(LegNode, "Publishes", [leg]), live(ros, "publisher", node))
+    calls = {n: t for n, t in documented(LegNode, "Calls", [leg]).items() if "/" in n}
+    assert agree(calls, live(ros, "client", node))
+
+
+def test_a_leg_that_does_not_share_calls_nobody(ros: Ros) -> None:
+    """With ``shared`` false a leg has no client."""
+    node = make(ros, LegNode, shared=False)
+    assert not live(ros, "client", node)
+    assert len(live(ros, "subscriber", node)) == 3
+
+
+def test_a_cpg_node_hears_the_clock_and_says_the_phase(ros: Ros) -> None:
+    """The CPG's only publisher is the phase, its only subscription the clock."""
+    node = make(ros, CpgNode, "/robot_3")
+    assert live(ros, "publisher", node) == {"cpg/phase": "std_msgs/Float64"}
+    assert live(ros, "subscriber", node) == {"clock": "rosgraph_msgs/Clock"}
+    assert agree(documented(CpgNode, "Publishes", []), live(ros, "publisher", node))
+    assert agree(documented(CpgNode, "Subscribes", []), live(ros, "subscriber", node))
+    assert not live(ros, "client", node)
+    assert not live(ros, "service", node)
+
+
+def test_a_table_node_has_what_its_docstring_lists(ros: Ros) -> None:
+    """Four services, no topic."""
+    node = make(ros, TableNode, "/robot_3")
+    services = documented(TableNode, "Services", [])
+    assert len(services) == 4
+    assert all(services.values())
+    assert agree(services, live(ros, "service", node))
+    assert not live(ros, "publisher", node)
+    assert not live(ros, "subscriber", node)
+    assert not live(ros, "client", node)
+
+
+def test_the_table_of_topics_is_what_the_nodes_have(ros: Ros) -> None:
+    """``topics``' docstring lists every name and type on the graph, and no other."""
+    rows = re.findall(
+        r"^``([^`]+)``(?: \(service\))? +(\w+/)(\w*)(?:.*\n +(\w+))?", topics.__doc__ or "", re.M
+    )
+    listed = {name: package + (type_ or rest) for name, package, type_, rest in rows}
+    held: dict[str, str] = {}
+    for kind in NODES:
+        node = make(ros, kind, leg="leg", world="trainer")
+        for what in ("publisher", "subscriber", "client", "service"):
+            held |= live(ros, what, node)
+    assert {n.replace("leg/", "<leg>/"): t for n, t in held.items()} == listed
+
+
+# -- parameters --------------------------------------------------------------------------------
+
+
+def declared(node: Any) -> dict[str, Any]:
+    """Return a node's own parameters."""
+    return {
+        name: parameter.value
+        for name, parameter in node.get_parameters_by_prefix("").items()
+        if name not in ("use_sim_time", "start_type_description_service")
+    }
+
+
+@pytest.mark.parametrize("kind", NODES)
+def test_a_node_has_the_parameters_its_docstring_lists(ros: Ros, kind: Any) -> None:
+    """No more, no fewer, at their defaults, described, read-only, and in their ranges."""
+    node = make(ros, kind)
+    expected: dict[str, Any] = {}
+    for name in documented(kind, "Parameters", []):
+        if name.endswith(".*"):
+            group = {n: s.default for n, s in SPECS.items() if n.startswith(name[:-1])}
+            assert group, f"{name} is no group"
+            expected |= group
+        else:
+            expected[name] = OPTIONS[name].default
+    expected |= NEEDED.get(kind, {})
+    for name, value in declared(node).items():
+        plain = expected.pop(name)
+        assert value == (list(plain) if isinstance(plain, tuple) else plain), name
+        described = node.describe_parameter(name)
+        assert described.read_only
+        if name in OPTIONS:
+            assert described.description == OPTIONS[name].doc
+            continue
+        spec = SPECS[name]
+        assert spec.doc in described.description
+        assert f"[{spec.unit}]" in described.description
+        if isinstance(spec.default, tuple):
+            assert described.type == ParameterType.PARAMETER_DOUBLE_ARRAY
+        elif isinstance(spec.default, int):
+            (whole,) = described.integer_range
+            assert (whole.from_value, whole.to_value, whole.step) == (spec.low, spec.high, 0)
+        else:
+            (real,) = described.floating_point_range
+            assert real.from_value == max(spec.low, -1.7e308)
+            assert real.to_value == min(spec.high, 1.7e308)
+            assert real.step == 0.0
+    assert not expected, "listed, not declared"
+
+
+@pytest.mark.parametrize("kind", NODES)
+def test_parameters_cannot_be_changed_while_running(ros: Ros, kind: Any) -> None:
+    """What was read once cannot be changed to something that nobody reads."""
+    node = make(ros, kind)
+    for name, value in declared(node).items():
+        (result,) = node.set_parameters([Parameter(name, value=value)])
+        assert not result.successful, name
+
+
+def test_a_whole_number_is_taken_for_a_real_one_and_a_float_without_fraction_for_a_whole(
+    ros: Ros,
+) -> None:
+    """``-p gait.period:=1`` is what it looks like."""
+    node = make(
+        ros, SimNode, gait__period=1, gait__ticks=16.0, leg__knee_speeds=[-2, 0, 2], patience=3
+    )
+    values = declared(node)
+    for name, value in (("gait.period", 1.0), ("patience", 3.0), ("gait.ticks", 16)):
+        assert values[name] == value
+        assert type(values[name]) is type(value)
+    assert list(values["leg.knee_speeds"]) == [-2.0, 0.0, 2.0]
+
+
+WRONG: list[tuple[Any, dict[str, Any], str]] = [
+    *[(kind, {"gait.perod": 1.0}, r"no parameter 'gait.perod'; did you mean gait.period") for kind in NODES],
+    (CpgNode, {"nonsense": 1}, "no parameter 'nonsense'"),
+    (CpgNode, {"gait": 1}, "no parameter 'gait'"),
+    (CpgNode, {"gait.period": 0.05}, r"gait.period = 0.05 is out of range: 0.1 to 10.0 \[s\]"),
+    (CpgNode, {"gait.period": math.nan}, "gait.period = nan is out of range"),
+    (CpgNode, {"gait.period": math.inf}, "gait.period = inf is out of range"),
+    (CpgNode, {"gait.period": "fast"}, "gait.period must be a number .* 'fast'"),
+    (CpgNode, {"gait.period": True}, "gait.period must be a number .* True"),
+    (CpgNode, {"gait.period": [0.5]}, "gait.period must be a number"),
+    (CpgNode, {"gait.ticks": 32.5}, "gait.ticks must be a whole number .* 32.5"),
+    (CpgNode, {"gait.ticks": 24}, "gait.ticks = 24 must be a power of two"),
+    (CpgNode, {"walker.mass": -1.0}, "walker.mass = -1.0 is out of range"),  # another's, yet wrong
+    (SimNode, {"leg.knee_speeds": []}, "leg.knee_speeds must not be empty"),
+    (SimNode, {"leg.knee_speeds": ["up"]}, "leg.knee_speeds must be a number"),
+    (SimNode, {"leg.knee_speeds": [-1.0, 1.0]}, "must rise strictly and have 0.0"),
+    (SimNode, {"leg.knee_speeds": 1.0}, "leg.knee_speeds must be a list"),
+    (SimNode, {"world": "moon"}, "world = 'moon' must be one of walker, trainer"),
+    (SimNode, {"world": 1}, "world = 1 must be a str"),
+    (SimNode, {"mode": "fast"}, "mode = 'fast' must be one of lockstep, realtime"),
+    (SimNode, {"cycles": -1}, "cycles = -1 must be 0 or more"),
+    (SimNode, {"cycles": 1.5}, "cycles = 1.5 must be a int"),
+    (SimNode, {"cycles": True}, "cycles = True must be a int"),
+    (SimNode, {"gui": 1}, "gui = 1 must be a bool"),
+    (SimNode, {"patience": -0.5}, "patience = -0.5 must be 0 or more"),
+    (SimNode, {"patience": math.nan}, "patience = nan must be 0 or more"),
+    (SimNode, {"patience": "long"}, "patience = 'long' must be a float"),
+    (SimNode, {"out": "/proc/ember"}, "/proc/ember"),
+    (LegNode, {"leg": ""}, "no leg ''; .*front_left, front_right, rear_left, rear_right"),
+    (LegNode, {"leg": "tail"}, "no leg 'tail'"),
+    (LegNode, {"leg": 1}, "leg = 1 must be a str"),
+    (LegNode, {"stage": "run"}, "stage = 'run' must be one of walk, train"),
+    (LegNode, {"policy": "best"}, "policy = 'best' must be one of learned, scripted, random"),
+    (LegNode, {"seed": -1}, "seed = -1 must be 0 or more"),
+    (LegNode, {"seed": 1.5}, "seed = 1.5 must be a int"),
+    (LegNode, {"learning": "yes"}, "learning = 'yes' must be a bool"),
+    (LegNode, {"table": "a.npz"}, "shares its table neither loads nor saves"),
+    (LegNode, {"save": "a.npz"}, "shares its table neither loads nor saves"),
+    (LegNode, {"table": "/no/such.npz", "shared": False}, "no table /no/such.npz"),
+    (TableNode, {"table": "/no/such.npz"}, "no table /no/such.npz"),
+    (TableNode, {"table": __file__}, "is not a whole ember_ros table"),
+    (TableNode, {"stage": "run"}, "stage = 'run' must be one of walk, train"),
+    (TableNode, {"state.hip_bins": 0}, "state.hip_bins = 0 is out of range"),
+]
+
+
+@pytest.mark.parametrize(("kind", "wrong", "names"), WRONG)
+def test_a_wrong_parameter_is_a_clear_error(
+    ros: Ros, kind: Any, wrong: dict[str, Any], names: str
+) -> None:
+    """The constructor raises an EmberError that names it; the fixture sees no node left."""
+    overrides = given({**NEEDED.get(kind, {}), **wrong})
+    with pytest.raises(EmberError, match=names):
+        kind(context=ros.context, parameter_overrides=overrides)
+
+
+@pytest.mark.parametrize("kind", NODES)
+def test_parameters_of_other_nodes_are_let_pass(ros: Ros, kind: Any) -> None:
+    """One parameter file serves all nodes: every group, and the options of all."""
+    every = {name: list(s.default) if isinstance(s.default, tuple) else s.default
+             for name, s in SPECS.items()}
+    options = {name: option.default for name, option in OPTIONS.items()} | NEEDED.get(kind, {})
+    node = kind(context=ros.context, parameter_overrides=given(every | options))
+    node.destroy_node()
+
+
+def test_a_table_of_other_cells_is_refused(ros: Ros, tmp_path: Path) -> None:
+    """A table learnt with another partition says so, whoever loads it."""
+    other = Params()
+    file = tmp_path / "table.npz"
+    save_table(file, empty_table(other), other, 0)
+    wrong = {"table": str(file), "state.hip_low": -0.6}
+    with pytest.raises(TableError, match="another partition"):
+        TableNode(context=ros.context, parameter_overrides=given(wrong))
+    with pytest.raises(TableError, match="another partition"):
+        LegNode(
+            context=ros.context,
+            parameter_overrides=given({**wrong, "shared": False, "leg": "leg"}),
+        )
+    with pytest.raises(ParameterError, match="neither loads nor saves"):
+        make(ros, LegNode, table=str(file))
+
+
+# -- the CPG -----------------------------------------------------------------------------------
+
+
+def test_a_cpg_says_the_phase_of_every_clock_once(ros: Ros) -> None:
+    """It follows the clock, back to the start too; told twice it says it once; nonsense is not said."""
+    node = make(ros, CpgNode)
+    phases = ros.messages(topics.PHASE)
+    clock = ros.publisher(topics.CLOCK)
+    said: list[float] = []
+    for tick in [0, 1, 2, 2, -1, 3, 32, 33, 0, 1]:
+        clock.publish(wire.pack_clock(tick * TICK_NS))
+        if tick >= 0 and tick / 32 not in said[-1:]:
+            said.append(tick / 32)
+        ros.spin_until(lambda: len(phases) >= len(said), f"phase of tick {tick}")
+        ros.spin_once(0.0)
+    assert [message.data for message in phases] == said
+    assert declared(node)["gait.ticks"] == 32
+
+
+# -- a leg alone -------------------------------------------------------------------------------
+
+
+class Tape:
+    """The senses and phases of a run, to be played to a leg."""
+
+    def __init__(self) -> None:
+        """Begin empty."""
+        self.ticks: list[tuple[Phase, tuple[LegSense, ...]]] = []
+
+    def tick(
+        self,
+        phase: Phase,
+        senses: Sequence[LegSense],
+        commands: Sequence[LegCommand | None],
+        body: BodyState,
+    ) -> None:
+        """Record a tick."""
+        self.ticks.append((phase, tuple(senses)))
+
+
+@pytest.fixture(scope="module")
+def tape() -> Tape:
+    """Record four cycles of the walker."""
+    loop, tape = Loop(Plan("walker", 4, seed=7)), Tape()
+    for _ in range(128):
+        loop.tick(tape)
+    loop.close()
+    return tape
+
+
+def play(ros: Ros, leg: str, tape: Tape, between: Callable[[int], None]) -> tuple[list[bytes], Any]:
+    """Return the commands of a leg that does not share, to whom a tape is played, and the leg."""
+    node = make(ros, LegNode, leg=leg, shared=False, seed=3)
+    answers = ros.messages(topics.command(leg), raw=True)
+    joints = ros.publisher(topics.joint_states(leg))
+    contact = ros.publisher(topics.contact(leg))
+    phase_publisher = ros.publisher(topics.PHASE)
+    packer = wire.SenseWire(leg, TICK_NS)
+    for n, (phase, senses) in enumerate(tape.ticks):
+        between(n)
+        for publisher, data in zip(
+            (joints, contact), packer.pack(senses[LEGS.index(leg)]), strict=True
+        ):
+            publisher.publish(data)
+        phase_publisher.publish(wire.pack_phase(phase))
+        ros.spin_until(lambda n=n: len(answers) > n, f"a command for tick {n}")  # type: ignore[misc]
+    read = wire.CommandWire(leg, TICK_NS).read
+    assert [read(answer).tick for answer in answers] == list(range(len(tape.ticks)))
+    return list(answers), node
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_other_legs_hear_and_say_changes_no_bit_of_a_leg(
+    ros: Ros, tape: Tape, seed: int
+) -> None:
+    """Locality: a leg fed the same senses and phase commands the same, and learns the same.
+
+    All other legs' topics carry random garbage meanwhile, well formed and malformed.
+    """
+    commands, node = play(ros, "rear_left", tape, lambda n: None)
+    learnt = node.module.copy.table.sha256()
+    assert node.module.copy.table.visits.sum() > 0
+    ros.remove(node)
+
+    rng = np.random.default_rng(seed)
+    others = [leg for leg in (*LEGS, "leg") if leg != "rear_left"]
+    publishers = [
+        ros.publisher(topic(leg), matched=False)
+        for leg in others
+        for topic in (topics.joint_states, topics.contact, topics.command)
+    ]
+
+    def garbage(n: int) -> None:
+        for publisher in rng.permutation(np.array(publishers, dtype=object)):
+            leg = others[rng.integers(len(others))]
+            sense = LegSense(int(rng.integers(200)), *rng.normal(0, 9, 8).tolist(), 1, 0, 1)
+            data = rng.choice(
+                np.array([*wire.SenseWire(leg, TICK_NS).pack(sense), rng.bytes(20)], dtype=object)
+            )
+            publisher.publish(data)
+
+    disturbed, again = play(ros, "rear_left", tape, garbage)
+    assert disturbed == commands
+    assert again.module.copy.table.sha256() == learnt
+    assert again.refused == 0
+
+
+def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: Tape) -> None:
+    """Senses and phase of a tick may come in any order, and twice; the commands are the same."""
+    commands, node = play(ros, "front_left", tape, lambda n: None)
+    ros.remove(node)
+    make(ros, LegNode, leg="front_left", shared=False, seed=3)
+    answers = ros.messages(topics.command("front_left"), raw=True)
+    publishers = [
+        ros.publisher(topic)
+        for topic in (
+            topics.joint_states("front_left"),
+            topics.contact("front_left"),
+            topics.PHASE,
+        )
+    ]
+    packer = wire.SenseWire("front_left", TICK_NS)
+    rng = np.random.default_rng(0)
+    for n, (phase, senses) in enumerate(tape.ticks):
+        data = [*packer.pack(senses[0]), wire.pack_phase(phase)]
+        order = rng.permutation(3)
+        for which in (order[0], order[1], order[0], order[2]):
+            publishers[which].publish(data[which])
+            ros.spin_once(0.0)
+        ros.spin_until(lambda n=n: len(answers) > n, f"a command for tick {n}")  # type: ignore[misc]
+    assert answers == commands
+
+
+# -- the table's services ----------------------------------------------------------------------
+
+
+def fill(table: Any, seed: int) -> None:
+    """Put something into a table."""
+    rng = np.random.default_rng(seed)
+    table.values[:] = rng.normal(size=len(table))
+    table.visits[:] = rng.integers(0, 50, len(table))
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """Save a table in which something stands."""
+    table = empty_table(Params())
+    fill(table, 0)
+    save_table(tmp_path / "before.npz", table, Params(), 4)
+    return tmp_path / "before.npz"
+
+
+GOOD = Push(1, "a run", 5, cells_sha256(Params()), (Pair(160, 3, 0.5), Pair(161, 4, -0.25)))
+
+
+def push_with(name: str, **fields: Any) -> SetParametersAtomically.Request:
+    """Return a good push with one field's value changed, or without the field."""
+    request = wire.write_push(GOOD)
+    if fields:
+        (value,) = (p.value for p in request.parameters if p.name == name)
+        for key, content in fields.items():
+            setattr(value, key, content)
+    else:
+        request.parameters = [p for p in request.parameters if p.name != name]
+    return request
+
+
+def push_and(name: str) -> SetParametersAtomically.Request:
+    """Return a good push with a field more."""
+    request = wire.write_push(GOOD)
+    request.parameters.append(Parameter(name, value=1).to_parameter_msg())
+    return request
+
+
+FIELDS = ("leg", "run", "epoch", "cells_sha256", "tick", "cell", "target")
+MALFORMED = [
+    *[(push_with(name), f"{name} missing") for name in FIELDS],
+    (push_and("more"), "'more' is unknown"),
+    (push_and("leg"), "'leg' is .*twice"),
+    (push_with("leg", type=ParameterType.PARAMETER_DOUBLE), "leg has parameter type 3"),
+    (push_with("target", type=ParameterType.PARAMETER_NOT_SET), "target has parameter type 0"),
+    (push_with("tick", integer_array_value=array("q", [160])), "tick, cell and target have"),
+    (push_with("target", double_array_value=array("d", [0.5] * 3)), "tick, cell and target have"),
+    (push_with("target", double_array_value=array("d", [0.5, math.nan])), "target of cell 4 .*nan"),
+    (push_with("target", double_array_value=array("d", [math.inf, 0.0])), "target of cell 3 .*inf"),
+    (push_with("cell", integer_array_value=array("q", [3, -1])), "cell -1 is not in 0 to"),
+    (push_with("cell", integer_array_value=array("q", [3, 2**40])), "cell 1099511627776 is not"),
+    (push_with("tick", integer_array_value=array("q", [-1, 161])), "tick -1"),
+    (push_with("cells_sha256", string_value="f" * 64), "cells"),
+    (push_with("leg", integer_value=-1), "leg -1"),
+    (push_with("epoch", integer_value=-5), "epoch -5"),
+    (push_with("run", string_value=""), "run ''"),
+    (SetParametersAtomically.Request(), "missing"),
+]
+
+
+def everything(ros: Ros, client: Any) -> tuple[int, bytes, bytes]:
+    """Return the version, values and visits of the whole table, by the service."""
+    request = GetParameters.Request(names=["version", "values", "visits"])
+    version, values, visits = ros.call(client, request).values
+    return (
+        version.integer_value,
+        values.double_array_value.tobytes(),
+        visits.integer_array_value.tobytes(),
+    )
+
+
+def test_malformed_pushes_are_refused_with_a_reason_and_change_nothing(
+    ros: Ros, file: Path
+) -> None:
+    """Each kind of nonsense gets ``successful`` false and a reason that names it; the table stays."""
+    node = make(ros, TableNode, table=str(file))
+    push, pull = ros.client(topics.PUSH), ros.client(topics.PULL)
+    before = everything(ros, pull)
+    for count, (request, names) in enumerate(MALFORMED, 1):
+        result = ros.call(push, request).result
+        assert not result.successful, names
+        assert re.search(names, result.reason), result.reason
+        assert node.refused == count
+    node.shared.merge()
+    assert everything(ros, pull) == before
+    assert node.shared.table.sha256() == load_table(file, Params())[0].sha256()
+
+
+def test_a_push_is_merged_once_however_often_it_comes(ros: Ros) -> None:
+    """Acknowledged, merged by a pull of its epoch; said again, before or after, changes nothing."""
+    node = make(ros, TableNode)
+    push, pull = ros.client(topics.PUSH), ros.client(topics.PULL)
+    version = everything(ros, pull)[0]
+    for n in range(3):
+        result = ros.call(push, wire.write_push(GOOD)).result
+        assert result.successful
+        assert bool(result.reason) == bool(n)  # "taken before"
+    assert node.shared.table.visits.sum() == 0
+    changes = wire.read_changes(ros.call(pull, wire.write_pull(version, 4)))
+    assert (changes.version, len(changes.cells)) == (version, 0)
+    changes = wire.read_changes(ros.call(pull, wire.write_pull(version, 5)))
+    assert changes.version > version
+    assert (changes.cells.tolist(), changes.values.tolist()) == ([3, 4], [0.5, -0.25])
+    assert changes.visits.tolist() == [1, 1]
+    merged = everything(ros, pull)
+    assert ros.call(push, wire.write_push(GOOD)).result.successful
+    ros.call(pull, wire.write_pull(version, 9))
+    assert everything(ros, pull) == merged
+    assert node.refused == 0
+    # Another life of the same leg is another push.
+    assert ros.call(push, wire.write_push(GOOD._replace(run="another"))).result.reason == ""
+    ros.call(pull, wire.write_pull(version, 5))
+    assert node.shared.table.visits.sum() == 4
+
+
+def test_the_order_in_which_pushes_come_does_not_matter(ros: Ros) -> None:
+    """Pairs of one epoch are merged in the order of ticks and legs."""
+    pushes = [
+        Push(leg, f"run {leg}", 0, GOOD.cells_sha256,
+             tuple(Pair(tick, 7, (leg + 1) / (tick + 3)) for tick in range(5)))
+        for leg in range(4)
+    ]  # fmt: skip
+    tables = set()
+    for order in ([0, 1, 2, 3], [3, 1, 0, 2], [2, 3, 1, 0]):
+        node = make(ros, TableNode)
+        push, pull = ros.client(topics.PUSH), ros.client(topics.PULL)
+        for leg in order:
+            assert ros.call(push, wire.write_push(pushes[leg])).result.successful
+        ros.call(pull, wire.write_pull(None, 0))
+        assert node.shared.table.visits[7] == 20
+        tables.add(node.shared.table.sha256())
+        ros.remove(node)
+    assert len(tables) == 1
+
+
+def test_the_whole_table_can_be_pulled(ros: Ros, file: Path) -> None:
+    """One call answers with every cell, and with what the table is about; so does a first pull."""
+    make(ros, TableNode, table=str(file), seed=11)
+    pull = ros.client(topics.PULL)
+    table = load_table(file, Params())[0]
+    request = GetParameters.Request(names=["values", "cells", "about", "visits"])
+    values, cells, about, visits = ros.call(pull, request).values
+    assert values.double_array_value.tobytes() == table.values.tobytes()
+    assert visits.integer_array_value.tobytes() == table.visits.tobytes()
+    assert list(cells.integer_array_value) == list(range(len(table)))
+    assert '"seed": 11' in about.string_value
+    first = wire.read_changes(ros.call(pull, wire.write_pull(None, -1)))
+    assert first.values.tobytes() == table.values.tobytes()
+    assert first.visits.tobytes() == table.visits.tobytes()
+
+
+@pytest.mark.parametrize("name", ["value", "since=x", f"since={2**63}", f"upto={2**64}"])
+def test_a_malformed_pull_is_answered_nothing_and_the_node_lives(ros: Ros, name: str) -> None:
+    """Nobody can bring the table down with a pull typed at a terminal."""
+    node = make(ros, TableNode)
+    pull = ros.client(topics.PULL)
+    answer = ros.call(pull, GetParameters.Request(names=[name, "version"]))
+    assert not answer.values
+    assert node.refused == 1
+    (version,) = ros.call(pull, GetParameters.Request(names=["version"])).values
+    assert version.type == ParameterType.PARAMETER_INTEGER
+
+
+def test_save_writes_the_table_and_says_where(ros: Ros, tmp_path: Path, file: Path) -> None:
+    """Save answers with path and SHA-256 of a file that loads, pushes of the day included."""
+    target = tmp_path / "deep" / "after.npz"
+    node = make(ros, TableNode, table=str(file), save=str(target), seed=9)
+    push, save = ros.client(topics.PUSH), ros.client(topics.SAVE)
+    ros.call(push, wire.write_push(GOOD))
+    answer = ros.call(save, Trigger.Request())
+    assert answer.success
+    before, _ = load_table(file, Params())
+    after, about = load_table(target, Params())
+    assert answer.message == f"{target}: {after.sha256()}"
+    assert about["seed"] == 9
+    assert after.visits.sum() == before.visits.sum() + 2
+    node.finish(lambda: None)
+    assert load_table(target, Params())[0].sha256() == after.sha256()
+
+
+def test_save_without_a_path_says_what_to_do(ros: Ros) -> None:
+    """Success is false, the message says how to give a path, the node goes on."""
+    make(ros, TableNode)
+    save = ros.client(topics.SAVE)
+    for _ in range(2):
+        answer = ros.call(save, Trigger.Request())
+        assert not answer.success
+        assert "save:=FILE" in answer.message
+
+
+def test_save_to_where_nothing_can_be_written_says_so(ros: Ros, tmp_path: Path) -> None:
+    """Success is false, the message names file and reason, and the next save may succeed."""
+    folder = tmp_path / "folder"
+    node = make(ros, TableNode, save=str(folder / "table.npz"))
+    save = ros.client(topics.SAVE)
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.write_text("a file where a folder should be")
+    answer = ros.call(save, Trigger.Request())
+    assert not answer.success
+    assert f"cannot write the table {folder / 'table.npz'}" in answer.message
+    folder.unlink()
+    assert ros.call(save, Trigger.Request()).success
+    node.finish(lambda: None)
+
+
+def test_a_table_that_could_never_be_saved_is_refused_at_once(ros: Ros, tmp_path: Path) -> None:
+    """Not after hours of learning: the constructor says that ``save`` cannot be written."""
+    (tmp_path / "folder").write_text("a file where a folder should be")
+    with pytest.raises(TableError, match="cannot write the table .*folder/table.npz"):
+        TableNode(
+            context=ros.context,
+            parameter_overrides=given({"save": str(tmp_path / "folder" / "table.npz")}),
+        )
+
+
+def test_saving_changes_nothing_of_what_is_learnt_after(ros: Ros, tmp_path: Path) -> None:
+    """A save between two legs' pushes of one epoch leaves their order of merging alone."""
+    first, second = (
+        Push(leg, f"run {leg}", 0, GOOD.cells_sha256, (Pair(3, 7, target),))
+        for leg, target in ((0, 1.0), (1, -0.3))
+    )
+    tables = set()
+    for saves in (False, True):
+        node = make(ros, TableNode, save=str(tmp_path / "table.npz"))
+        push, pull, save = map(ros.client, (topics.PUSH, topics.PULL, topics.SAVE))
+        for leg in (second, first):
+            for n in range(3):
+                pairs = (Pair(3 + n, 7, leg.pairs[0].target / (n + 1)),)
+                push_ = leg._replace(epoch=n, pairs=pairs)
+                assert ros.call(push, wire.write_push(push_)).result.successful
+            if saves:
+                assert ros.call(save, Trigger.Request()).success
+        ros.call(pull, wire.write_pull(None, 2))
+        tables.add(node.shared.table.sha256())
+        node.finish(lambda: None)
+        ros.remove(node)
+    assert len(tables) == 1
+
+
+def test_learning_can_be_switched_off_and_on(ros: Ros) -> None:
+    """While off, pushes are acknowledged and dropped; on again, they are merged."""
+    node = make(ros, TableNode)
+    push, pull, learning = map(ros.client, (topics.PUSH, topics.PULL, topics.LEARNING))
+    for epoch, on in enumerate((True, False, False, True)):
+        answer = ros.call(learning, SetBool.Request(data=on))
+        assert answer.success
+        assert ("merged" if on else "dropped") in answer.message
+        assert ros.call(push, wire.write_push(GOOD._replace(epoch=epoch))).result.successful
+    ros.call(pull, wire.write_pull(None, 9))
+    assert node.shared.table.visits.sum() == 2 * len(GOOD.pairs)
+    assert node.refused == 0

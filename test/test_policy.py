@@ -1,0 +1,228 @@
+"""How a leg chooses: explores as its schedule says, breaks ties at random, or follows a script."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ember_ros.kinematics import height
+from ember_ros.params import Learning, Params
+from ember_ros.randomness import WORLD, generator
+from ember_ros.signals import TRAINER_LEG, LegSense
+from leg_node.gait import LegGait
+from leg_node.policy import EpsilonGreedy, Random, Scripted
+from leg_node.reading import PlainReading
+from leg_node.table import Table
+
+TICKS = 32
+PARAMS = Params()
+SPEEDS = PARAMS.leg.knee_speeds
+
+
+def sense(tick: int = 0, hip: float = 0.0, knee: float = 0.5, pitch: float = 0.0) -> LegSense:
+    """Return the senses of a leg on a body with its nose down by ``pitch``."""
+    return LegSense(
+        tick, hip, knee, 0.0, 0.0, 0.0, 0.0, hip - knee + pitch, 0.0, False, False, False
+    )
+
+
+def greedy(
+    rows: list[list[float]], start: float = 0.0, end: float = 0.0, cycles: int = 10, seed: int = 1
+) -> EpsilonGreedy:
+    """Return a policy over a table of these rows."""
+    table = Table(len(rows), len(rows[0]))
+    table.values[:] = np.ravel(rows)
+    learning = Learning(epsilon_start=start, epsilon_end=end, epsilon_cycles=cycles)
+    return EpsilonGreedy(PlainReading(table), learning, len(rows[0]), TICKS, generator(seed, 0))
+
+
+# -- epsilon-greedy ------------------------------------------------------------------------------
+
+
+def test_epsilon_falls_by_the_cycle_then_stays() -> None:
+    """Linear from start to end over the cycles given, in steps of a cycle, constant after."""
+    policy = greedy([[0.0]], start=0.5, end=0.1, cycles=4)
+    shares = [policy.epsilon(cycle * TICKS) for cycle in range(8)]
+    assert shares == pytest.approx([0.5, 0.4, 0.3, 0.2, 0.1, 0.1, 0.1, 0.1])
+    assert shares[0] == 0.5
+    assert shares[4] == shares[7] == policy.epsilon(10**9) == pytest.approx(0.1, abs=1e-16)
+    assert {policy.epsilon(tick) for tick in range(TICKS, 2 * TICKS)} == {shares[1]}
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(
+    start=st.floats(0.0, 1.0),
+    end=st.floats(0.0, 1.0),
+    cycles=st.integers(1, 10**9),
+    tick=st.integers(0, 10**12),
+)
+def test_epsilon_stays_between_its_ends(start: float, end: float, cycles: int, tick: int) -> None:
+    """Whichever way it goes, it is never under the one or over the other end."""
+    epsilon = greedy([[0.0]], start=start, end=end, cycles=cycles).epsilon(tick)
+    assert min(start, end) - 1e-15 <= epsilon <= max(start, end) + 1e-15
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
+@given(row=st.lists(st.floats(-5.0, 5.0), min_size=2, max_size=9, unique=True))
+def test_the_best_action_without_exploration(row: list[float]) -> None:
+    """With epsilon 0 the largest value of the state's own row is chosen, always."""
+    policy = greedy([[0.0] * len(row), row, [9.0] * len(row)])
+    assert {policy.choose(sense(tick), 0.0, 1) for tick in range(20)} == {row.index(max(row))}
+
+
+def test_ties_are_broken_at_random() -> None:
+    """Equal best actions are chosen equally often; a lesser one never is."""
+    policy = greedy([[1.0, 0.0, 1.0, 1.0]])
+    count = Counter(policy.choose(sense(tick), 0.0, 0) for tick in range(3000))
+    assert set(count) == {0, 2, 3}
+    assert min(count.values()) > 900
+
+
+def test_a_leg_that_knows_nothing_tries_everything() -> None:
+    """The first actions are random ones, not the first of the list."""
+    policy = greedy([[0.0] * 9])
+    count = Counter(policy.choose(sense(tick), 0.0, 0) for tick in range(4500))
+    assert set(count) == set(range(9))
+    assert min(count.values()) > 400
+
+
+def test_exploration_has_its_share() -> None:
+    """With epsilon 0.3 of 9 actions, the best is chosen in 0.7 + 0.3 / 9 of all ticks."""
+    policy = greedy([[0.0] * 8 + [1.0]], start=0.3, end=0.3)
+    count = Counter(policy.choose(sense(tick), 0.0, 0) for tick in range(9000))
+    assert count[8] / 9000 == pytest.approx(0.7 + 0.3 / 9, abs=0.02)
+    assert min(count[n] for n in range(8)) > 0.5 * 9000 * 0.3 / 9
+
+
+def test_the_share_follows_the_tick() -> None:
+    """All random in the first cycle and none in the next, as the schedule says."""
+    policy = greedy([[0.0, 1.0]], start=1.0, end=0.0, cycles=1)
+    chosen = [policy.choose(sense(tick), 0.0, 0) for tick in range(4 * TICKS)]
+    assert 0 < sum(chosen[:TICKS]) < TICKS
+    assert chosen[TICKS:] == [1] * (3 * TICKS)
+
+
+def test_the_share_follows_the_tick_over_missed_ticks() -> None:
+    """A leg that was away at the start of a cycle explores as this cycle says, not as the last."""
+    policy = greedy([[0.0, 1.0]], start=1.0, end=0.0, cycles=1)
+    policy.choose(sense(0), 0.0, 0)
+    assert {policy.choose(sense(tick), 0.0, 0) for tick in range(TICKS + 1, 2 * TICKS)} == {1}
+
+
+def test_the_table_is_read_as_it_is_now() -> None:
+    """A policy keeps no copy of the values: what was learnt this tick counts this tick."""
+    table = Table(1, 2)
+    policy = EpsilonGreedy(
+        PlainReading(table), Learning(epsilon_start=0.0, epsilon_end=0.0), 2, TICKS, generator(0, 0)
+    )
+    for best in (0, 1, 0):
+        table.put(best, 1.0, 1)
+        table.put(1 - best, 0.0, 1)
+        assert policy.choose(sense(), 0.0, 0) == best
+
+
+# -- random --------------------------------------------------------------------------------------
+
+
+def test_random_actions_are_uniform() -> None:
+    """Each action has its ninth."""
+    policy = Random(9, generator(3, 0))
+    count = Counter(policy.choose(sense(tick), 0.0, 0) for tick in range(9000))
+    assert set(count) == set(range(9))
+    assert all(900 < n < 1100 for n in count.values())
+
+
+def draws(seed: int, who: int) -> list[int]:
+    """Return the first actions of a leg that acts at random."""
+    policy = Random(9, generator(seed, who))
+    return [policy.choose(sense(tick), 0.0, 0) for tick in range(40)]
+
+
+def test_a_seed_decides_everything() -> None:
+    """The same seed and leg: the same actions; chosen by a table or at random."""
+    assert draws(7, 2) == draws(7, 2)
+    for epsilon in (0.0, 0.5, 1.0):
+        one, other = (greedy([[0.0] * 9], start=epsilon, end=epsilon, seed=4) for _ in range(2))
+        assert [one.choose(sense(n), 0.0, 0) for n in range(40)] == [
+            other.choose(sense(n), 0.0, 0) for n in range(40)
+        ]
+
+
+def test_seeds_and_legs_are_independent() -> None:
+    """Every leg, the world, and every seed draws something else, though all spawn from one."""
+    runs = [tuple(draws(seed, who)) for seed in range(5) for who in (0, 1, 2, 3, WORLD)]
+    assert len(set(runs)) == len(runs)
+
+
+def test_a_leg_s_numbers_do_not_depend_on_other_legs() -> None:
+    """What one leg drew before does not move what another draws."""
+    first = generator(1, 0)
+    first.random(1000)
+    assert generator(1, 1).random(5).tolist() == generator(1, 1).random(5).tolist()
+    one = generator(1, 1)
+    first.random(3)
+    assert one.random(5).tolist() == generator(1, 1).random(5).tolist()
+
+
+# -- scripted ------------------------------------------------------------------------------------
+
+
+def script() -> tuple[Scripted, LegGait]:
+    """Return the script of a leg without phase offset, and its gait."""
+    gait = LegGait(PARAMS.gait, TRAINER_LEG)
+    return Scripted(PARAMS, gait), gait
+
+
+def follow(cycles: int, pitch: float = 0.0) -> list[tuple[int, float, float]]:
+    """Return (tick of the cycle, knee, height) after each tick of a leg that obeys at once."""
+    policy, gait = script()
+    tick_s, leg = PARAMS.gait.tick_s, PARAMS.leg
+    hip, knee, out = PARAMS.gait.hip_front, 0.5, []
+    for tick in range(cycles * TICKS):
+        phase = tick / TICKS
+        action = policy.choose(sense(tick, hip, knee, pitch), phase, 0)
+        assert 0 <= action < len(SPEEDS)
+        knee = max(0.0, min(leg.knee_max, knee + SPEEDS[action] * tick_s))
+        hip = gait.hip_goal(phase)
+        out.append((tick % TICKS, knee, height(leg, knee, hip - knee + pitch)))
+    return out
+
+
+def test_the_script_keeps_the_height_in_stance() -> None:
+    """After it has put its foot down, the height stays within 3 cm of the one wanted."""
+    heights = [h for n, _, h in follow(3)[TICKS:] if 2 <= n < 24]
+    wanted = PARAMS.leg.operating_height
+    assert max(abs(h - wanted) for h in heights) < 0.03
+
+
+def test_the_script_draws_the_knee_up_in_swing() -> None:
+    """In the middle of swing the knee has nearly all its bend and the foot is off the ground."""
+    ticks = follow(3)[TICKS:]
+    knees = [knee for n, knee, _ in ticks if n in (26, 27)]
+    assert min(knees) > 1.2
+    clearances = [PARAMS.leg.operating_height - h for n, _, h in ticks if n in (26, 27)]
+    assert min(clearances) > 0.05
+
+
+def test_the_script_puts_the_foot_down_in_time() -> None:
+    """When stance begins the knee is stretched again for the height wanted."""
+    knees = {n: knee for n, knee, _ in follow(3)}
+    assert knees[31] < knees[27] - 0.4
+
+
+@pytest.mark.parametrize("pitch", [-0.15, 0.15])
+def test_the_script_feels_the_body_s_pitch(pitch: float) -> None:
+    """On a tilted body the same senses say so, and the height is kept as well."""
+    heights = [h for n, _, h in follow(3, pitch)[TICKS:] if 4 <= n < 20]
+    wanted = PARAMS.leg.operating_height
+    assert max(abs(h - wanted) for h in heights) < 0.04
+
+
+def test_the_script_draws_no_numbers() -> None:
+    """Same senses, same phase: the same action, whatever the state."""
+    policy, _ = script()
+    assert len({policy.choose(sense(3, 0.1, 0.4), 3 / 32, state) for state in range(50)}) == 1

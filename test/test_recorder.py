@@ -1,0 +1,387 @@
+"""The record of a run: a line a cycle, falls, and hashes that one bit changes."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from ember_ros.params import Params
+from ember_ros.report.recorder import BODY, CYCLES, MEASURED, TRACES, Recorder, Row, load_record
+from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense
+from leg_node.gait import LegGait
+from leg_node.module import LegModule
+from leg_node.reward import Rewarder
+from sim_node.fake import FakeWorld
+
+PARAMS = Params()
+TICKS = PARAMS.gait.ticks
+
+
+class Tick(NamedTuple):
+    """What a recorder hears of a tick."""
+
+    phase: float
+    senses: tuple[LegSense, ...]
+    commands: tuple[LegCommand | None, ...]
+    body: BodyState
+
+
+def run(ticks: int, *, falls_at: Sequence[int] = (), legs: Sequence[str] = LEGS) -> list[Tick]:
+    """Return what is heard of a run in the fake world, the end of its last tick included.
+
+    The body's pose is made up: it turns, nods and sinks a little, so that every column varies.
+    """
+    world = FakeWorld(legs, PARAMS, falls_at=falls_at)
+    modules = [LegModule(PARAMS, leg, policy="random", shared=False) for leg in legs]
+    heard = []
+    for tick in range(ticks + 1):
+        phase, senses = tick / TICKS, world.observe()
+        commands = tuple(leg.tick(s, phase) for leg, s in zip(modules, senses, strict=True))
+        wave = math.sin(tick)
+        body = world.body()._replace(
+            y=0.01 * tick,
+            height=0.45 + 0.01 * wave,
+            roll=0.1 * wave,
+            pitch=-0.2 * wave,
+            yaw=0.3,
+        )
+        heard.append(Tick(phase, senses, commands, body))
+        world.step(phase, commands)
+    return heard
+
+
+def record(
+    heard: Sequence[Tick], folder: Path | None = None, changed: dict[int, Tick] | None = None
+) -> Recorder:
+    """Return the finished record of a run, some of its ticks changed."""
+    every = [(changed or {}).get(n, tick) for n, tick in enumerate(heard)]
+    recorder = Recorder(PARAMS, LEGS[: len(heard[0].senses)], folder)
+    for tick in every[:-1]:
+        recorder.tick(*tick)
+    recorder.finish(every[-1].senses, every[-1].body)
+    return recorder
+
+
+def hashes(recorder: Recorder) -> tuple[str, str]:
+    """Return the hashes of senses and commands."""
+    summary = recorder.summary()
+    return summary["senses_sha256"], summary["commands_sha256"]
+
+
+# -- lines ---------------------------------------------------------------------------------------
+
+
+def test_a_line_a_cycle_for_each_leg_and_the_body() -> None:
+    """Three cycles of four legs: 15 lines, legs in order, then the body."""
+    rows = record(run(3 * TICKS)).rows
+    modules = [*LEGS, BODY]
+    assert [(row.cycle, row.module) for row in rows] == [(c, m) for c in range(3) for m in modules]
+
+
+def test_a_cycle_that_was_begun_has_its_line() -> None:
+    """A run stopped in the middle of a cycle loses nothing: its last lines tell what there was."""
+    heard = run(2 * TICKS + 5)
+    recorder = record(heard)
+    last = recorder.body_rows()[-1]
+    assert last.cycle == 2
+    assert last.distance_m is not None
+    start, end = heard[2 * TICKS].body, heard[2 * TICKS + 5].body
+    way = (end.x - start.x) * math.cos(0.3) + (end.y - start.y) * math.sin(0.3)
+    assert last.distance_m == way
+    assert len(recorder.traces) == 4 * (2 * TICKS + 5)
+
+
+def test_the_legs_lines() -> None:
+    """Peak force, mean reward, contact share and slip of each leg, written here a second time."""
+    heard = run(2 * TICKS, falls_at=[40])
+    recorder, rewarder = record(heard), Rewarder(PARAMS)
+    for place, leg in enumerate(LEGS):
+        gait = LegGait(PARAMS.gait, leg)
+        for cycle in range(2):
+            ends = [
+                (gait.stance(tick.phase), after.senses[place])
+                for tick, after in zip(
+                    heard[cycle * TICKS : (cycle + 1) * TICKS],
+                    heard[cycle * TICKS + 1 :],
+                    strict=False,
+                )
+            ]
+            felt = [(stance, sense) for stance, sense in ends if not sense.restart]
+            assert len(felt) == TICKS - cycle
+            (row,) = (r for r in recorder.rows if (r.cycle, r.module) == (cycle, leg))
+            assert row.peak_force_n == max(sense.force_peak for _, sense in felt)
+            assert row.reward == pytest.approx(
+                sum(rewarder(sense, stance) for stance, sense in felt) / TICKS
+            )
+            assert row.contact_share == sum(s and x.force_mean > 0.0 for s, x in felt) / 24
+            assert row.slip_m == pytest.approx(sum(sense.slip for _, sense in felt))
+            assert row[6:] == (None,) * 6
+
+
+def test_contact_share_is_of_stance_only() -> None:
+    """Always on the ground is 1, never is 0, and contact in swing does not count."""
+    heard = run(TICKS)
+    gait = LegGait(PARAMS.gait, LEGS[0])
+    for pattern, wanted in (("always", 1.0), ("never", 0.0), ("swing", 0.0), ("stance", 1.0)):
+        changed = []
+        for n, tick in enumerate(heard):
+            stance = gait.stance((n - 1) / TICKS) if n else True
+            force = {
+                "always": 9.0,
+                "never": 0.0,
+                "swing": 9.0 * (not stance),
+                "stance": 9.0 * stance,
+            }
+            senses = tuple(sense._replace(force_mean=force[pattern]) for sense in tick.senses)
+            changed.append(tick._replace(senses=senses))
+        row = record(changed).rows[0]
+        assert row.module == LEGS[0]
+        assert row.contact_share == wanted
+
+
+def test_the_body_s_line() -> None:
+    """Means over legs, progress along the heading, spread of roll and pitch, extremes."""
+    heard = run(TICKS)
+    recorder = record(heard)
+    *legs, body = recorder.rows
+    assert body.peak_force_n == max(leg.peak_force_n for leg in legs)
+    for name in ("reward", "contact_share", "slip_m"):
+        mean = sum(getattr(leg, name) for leg in legs) / 4
+        assert getattr(body, name) == pytest.approx(mean, rel=1e-12)
+    poses = [tick.body for tick in heard[:-1]]
+    rolls, pitches = [p.roll for p in poses], [p.pitch for p in poses]
+    end = heard[-1].body
+    assert body.distance_m == pytest.approx(end.x * math.cos(0.3) + end.y * math.sin(0.3))
+    assert body.roll_sd_rad == pytest.approx(np.std(rolls))
+    assert body.pitch_sd_rad == pytest.approx(np.std(pitches))
+    assert body.tilt_max_rad == max(map(abs, rolls + pitches))
+    assert body.height_min_m == min(p.height for p in poses)
+    assert body.falls == 0
+
+
+def test_falls_are_counted_in_their_cycle() -> None:
+    """One in cycle 1, none in cycle 2, two in cycle 3, the last of them at its very last tick."""
+    falls = [TICKS + 5, 3 * TICKS + 1, 4 * TICKS]
+    recorder = record(run(5 * TICKS, falls_at=falls))
+    assert [row.falls for row in recorder.body_rows()] == [0, 1, 0, 2, 0]
+    summary = recorder.summary()
+    assert summary["falls"] == 3
+    assert summary["first_fall"] == 1
+
+
+def test_no_fall_is_none() -> None:
+    """A run without falls has no first one."""
+    summary = record(run(2 * TICKS)).summary()
+    assert (summary["falls"], summary["first_fall"]) == (0, None)
+
+
+def test_a_tick_that_ended_in_a_fall_earns_nothing() -> None:
+    """Senses after being put down say nothing of the tick before: no slip, no force, no reward."""
+    heard = run(TICKS, falls_at=[7])
+    wild = tuple(
+        sense._replace(slip=99.0, force_peak=9e9, force_mean=9e9) for sense in heard[7].senses
+    )
+    rows = record(heard, changed={7: heard[7]._replace(senses=wild)}).rows
+    assert rows == record(heard).rows
+
+
+def test_summary_speaks_of_first_and_last_cycles() -> None:
+    """Totals and windows follow from the body's lines."""
+    recorder = record(run(3 * TICKS, falls_at=[50]))
+    summary, rows = recorder.summary(), recorder.body_rows()
+    assert summary["cycles"] == 3
+    for window in (summary["first"], summary["last"]):
+        assert window["cycles"] == 3
+        assert window["falls"] == 1
+        assert window["reward"] == pytest.approx(sum(row.reward for row in rows) / 3)
+    assert summary["distance_per_cycle_m"] == summary["first"]["distance_per_cycle_m"]
+    json.dumps(summary, allow_nan=False)
+
+
+def test_absent_ticks_are_counted_by_leg() -> None:
+    """A leg without a command is absent in that tick, and only it."""
+    heard = run(TICKS)
+    without = {
+        n: heard[n]._replace(commands=(*heard[n].commands[:2], None, heard[n].commands[3]))
+        for n in (3, 4, 20)
+    }
+    summary = record(heard, changed=without).summary()
+    assert summary["absent_ticks"] == dict(zip(LEGS, (0, 0, 3, 0), strict=True))
+
+
+# -- hashes --------------------------------------------------------------------------------------
+
+
+def test_equal_runs_have_equal_hashes() -> None:
+    """The same values give the same hashes, wherever the record is kept."""
+    heard = run(TICKS + 3)
+    assert hashes(record(heard)) == hashes(record(heard))
+    assert hashes(record(heard)) != hashes(record(run(TICKS + 2)))
+
+
+def next_to(value: Any) -> Any:
+    """Return the value that differs in the last bit."""
+    if isinstance(value, bool):
+        return not value
+    return value + 1 if isinstance(value, int) else math.nextafter(value, math.inf)
+
+
+@pytest.mark.parametrize("name", LegSense._fields)
+@pytest.mark.parametrize("at", [0, TICKS - 1, TICKS + 2])
+def test_one_bit_of_a_sense_changes_the_hash(name: str, at: int) -> None:
+    """Any field of any leg, first tick or last of a begun cycle: only the hash of senses moves."""
+    heard = run(TICKS + 3)
+    sense = heard[at].senses[2]
+    change: dict[str, Any] = {name: next_to(getattr(sense, name))}
+    other = heard[at]._replace(
+        senses=(*heard[at].senses[:2], sense._replace(**change), heard[at].senses[3])
+    )
+    before, after = hashes(record(heard)), hashes(record(heard, changed={at: other}))
+    assert after[0] != before[0]
+    assert after[1] == before[1]
+
+
+@pytest.mark.parametrize("name", LegCommand._fields)
+def test_one_bit_of_a_command_changes_the_hash(name: str) -> None:
+    """Any field: only the hash of commands moves, and lines do not."""
+    heard = run(TICKS)
+    first = heard[9].commands[0]
+    assert first is not None
+    change: dict[str, Any] = {name: next_to(getattr(first, name))}
+    other = heard[9]._replace(commands=(first._replace(**change), *heard[9].commands[1:]))
+    one, two = record(heard), record(heard, changed={9: other})
+    assert hashes(one)[0] == hashes(two)[0]
+    assert hashes(one)[1] != hashes(two)[1]
+    assert one.rows == two.rows
+
+
+def test_no_command_is_not_a_command_of_nothing() -> None:
+    """An absent leg and one that asks for zero speed are told apart."""
+    heard = run(TICKS)
+    none = heard[9]._replace(commands=(None, *heard[9].commands[1:]))
+    zero = heard[9]._replace(commands=(LegCommand(0, 0.0, 0.0, 0.0, 0.0), *heard[9].commands[1:]))
+    assert (
+        len({hashes(record(heard, changed={9: tick}))[1] for tick in (heard[9], none, zero)}) == 3
+    )
+
+
+def test_legs_that_change_places_change_the_hash() -> None:
+    """The same values in another order are another run."""
+    heard = run(TICKS)
+    turned = heard[5]._replace(senses=heard[5].senses[::-1], commands=heard[5].commands[::-1])
+    before, after = hashes(record(heard)), hashes(record(heard, changed={5: turned}))
+    assert before[0] != after[0]
+    assert before[1] != after[1]
+
+
+def test_what_comes_after_the_last_tick_is_not_hashed() -> None:
+    """Senses after the run close its last cycle; nobody acted on them."""
+    heard = run(TICKS)
+    wild = tuple(sense._replace(slip=9.0) for sense in heard[-1].senses)
+    other = record(heard, changed={TICKS: heard[-1]._replace(senses=wild)})
+    assert hashes(other) == hashes(record(heard))
+
+
+def test_hashes_are_the_same_on_every_machine() -> None:
+    """The bytes hashed, written down by hand: little-endian, 64 bits a number, fields in order."""
+    sense = LegSense(3, 0.5, 1.0, -1.0, 2.0, 24.5, 30.0, -0.5, 0.001, True, True, False)
+    body = BodyState(0.0, 0.0, 0.45, 0.0, 0.0, 0.0, 0)
+    recorder = Recorder(PARAMS, LEGS[:1])
+    recorder.tick(3 / 32, [sense], [LegCommand(3, -0.25, 8.0, 12.0, 16.0)], body)
+    recorder.tick(4 / 32, [sense._replace(tick=4)], [None], body)
+    recorder.finish([sense._replace(tick=5)], body)
+    numbers = struct.pack("<8d", 0.5, 1.0, -1.0, 2.0, 24.5, 30.0, -0.5, 0.001)
+    senses = b"".join(struct.pack("<q", n) + numbers + b"\x01\x01\x00" for n in (3, 4))
+    commands = struct.pack("<q4d", 3, -0.25, 8.0, 12.0, 16.0) + b"\x00"
+    assert hashes(recorder) == tuple(
+        hashlib.sha256(each).hexdigest() for each in (senses, commands)
+    )
+
+
+# -- files ---------------------------------------------------------------------------------------
+
+
+def test_the_file_holds_the_rows(tmp_path: Path) -> None:
+    """Line for line, digit for digit, what is in memory."""
+    recorder = record(run(2 * TICKS + 3, falls_at=[10]), tmp_path)
+    with (tmp_path / CYCLES).open(newline="") as file:
+        head, *lines = csv.reader(file)
+    assert tuple(head) == Row._fields
+    assert lines == [["" if x is None else str(x) for x in row] for row in recorder.rows]
+    assert len(lines) == 15
+
+
+def test_a_finished_record_is_read_back(tmp_path: Path) -> None:
+    """Rows, traces and summary come back from the folder as they were, to the bit."""
+    recorder = record(run(2 * TICKS), tmp_path)
+    back = load_record(tmp_path)
+    assert back.rows == recorder.rows
+    assert back.body_rows() == recorder.body_rows()
+    assert back.traces.tobytes() == recorder.traces.tobytes()
+    assert back.traces.shape == (2 * TICKS, 4)
+    assert back.measured == recorder.summary()
+    assert {path.name for path in tmp_path.iterdir()} == {CYCLES, MEASURED, TRACES}
+
+
+def test_whole_cycles_are_in_the_file_at_once(tmp_path: Path) -> None:
+    """A run that dies loses at most the cycle it was in: each is written when it ends."""
+    heard = run(2 * TICKS)
+    recorder = Recorder(PARAMS, LEGS, tmp_path)
+    lines = []
+    for tick in heard:
+        recorder.tick(*tick)
+        lines.append((tmp_path / CYCLES).read_text().splitlines()[1:])
+    recorder.finish(heard[-1].senses, heard[-1].body)
+    assert [len(each) for each in lines] == [0] * TICKS + [5] * TICKS + [10]
+    assert all(line.count(",") == len(Row._fields) - 1 for line in lines[-1])
+
+
+def test_traces_are_the_body_at_every_tick() -> None:
+    """x, y, roll and pitch at the start of each tick."""
+    heard = run(TICKS)
+    wanted = [(t.body.x, t.body.y, t.body.roll, t.body.pitch) for t in heard[:-1]]
+    assert record(heard).traces.tolist() == [x for pose in wanted for x in pose]
+
+
+def test_finishing_twice_is_finishing_once(tmp_path: Path) -> None:
+    """A signal after the end adds no line and does not fail."""
+    heard = run(TICKS)
+    recorder = record(heard, tmp_path)
+    rows, files = list(recorder.rows), (tmp_path / CYCLES).read_bytes()
+    recorder.finish(heard[-1].senses, heard[-1].body)
+    assert recorder.rows == rows
+    assert (tmp_path / CYCLES).read_bytes() == files
+
+
+def test_a_run_of_no_tick(tmp_path: Path) -> None:
+    """Stopped before it began: a whole record of nothing, not an error."""
+    recorder = Recorder(PARAMS, LEGS, tmp_path)
+    (first,) = run(0)
+    recorder.finish(first.senses, first.body)
+    summary = recorder.summary()
+    assert summary["cycles"] == 0
+    assert summary["distance_per_cycle_m"] is None
+    back = load_record(tmp_path)
+    assert back.rows == []
+    assert back.traces.shape == (0, 4)
+
+
+def test_looking_on_does_not_disturb() -> None:
+    """A summary asked for in the middle of a run changes nothing in it."""
+    heard = run(TICKS + 9)
+    recorder = Recorder(PARAMS, LEGS)
+    for tick in heard[:-1]:
+        recorder.tick(*tick)
+        recorder.summary()
+    recorder.finish(heard[-1].senses, heard[-1].body)
+    assert hashes(recorder) == hashes(record(heard))
+    assert recorder.rows == record(heard).rows

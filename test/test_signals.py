@@ -1,0 +1,52 @@
+"""The values that pass between the rooms: immutable, plain, and of a width that hashes rely on."""
+
+from __future__ import annotations
+
+from struct import Struct
+from typing import NamedTuple, get_type_hints
+
+import pytest
+
+from ember_ros.report import recorder
+from ember_ros.signals import LEGS, TRAINER_LEG, BodyState, LegCommand, LegSense, Pair
+
+SIGNALS = (LegSense, LegCommand, Pair, BodyState)
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+def test_signals_are_plain_numbers(signal: type[NamedTuple]) -> None:
+    """Every field is a float, an int or a bool: nothing that could share memory or be ROS."""
+    assert set(get_type_hints(signal).values()) <= {float, int, bool}
+
+
+def test_signals_cannot_be_changed() -> None:
+    """Whoever is handed a signal cannot change it for somebody else."""
+    command = LegCommand(0, 1.0, 2.0, 3.0, 4.0)
+    with pytest.raises(AttributeError):
+        command.tick = 1  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("signal", [LegSense, LegCommand, Pair])
+def test_signals_name_their_tick_first(signal: type[NamedTuple]) -> None:
+    """A value of one tick can never be taken for one of another: the tick is in it."""
+    assert signal._fields[0] == "tick"
+    assert get_type_hints(signal)["tick"] is int
+
+
+@pytest.mark.parametrize(
+    ("signal", "layout"), [(LegSense, recorder._SENSE), (LegCommand, recorder._COMMAND)]
+)
+def test_hashes_cover_every_field(signal: type[NamedTuple], layout: Struct) -> None:
+    """The bytes that are hashed hold each field in its full width, in order, without padding."""
+    codes = {int: "q", float: "d", bool: "?"}
+    wanted = "<" + "".join(codes[kind] for kind in get_type_hints(signal).values())
+    sizes = {"q": 8, "d": 8, "?": 1}
+    assert layout.size == sum(sizes[code] for code in wanted[1:])
+    values = tuple(kind(n % 2 + n) for n, kind in enumerate(get_type_hints(signal).values()))
+    assert layout.unpack(layout.pack(*values)) == values
+
+
+def test_legs_have_names_of_their_own() -> None:
+    """Five legs, five names, usable as parts of topic names."""
+    assert len({*LEGS, TRAINER_LEG}) == 5
+    assert all(name.isidentifier() for name in (*LEGS, TRAINER_LEG))
