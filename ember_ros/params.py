@@ -193,8 +193,12 @@ class Params:
     walk: Learning = field(default_factory=_walking)
 
     def __post_init__(self) -> None:
-        for name, value in flat(self):
-            check(name, value)
+        for group in dataclasses.fields(self):
+            part = getattr(self, group.name)
+            own = {f.name: getattr(part, f.name) for f in dataclasses.fields(part)}
+            checked = {name: check(f"{group.name}.{name}", value) for name, value in own.items()}
+            # In each number's own type, so that equal numbers have one hash.
+            object.__setattr__(self, group.name, type(part)(**checked))
         _check_together(self)
 
 
@@ -260,12 +264,17 @@ def check(name: str, value: Any) -> Value:
     def number(item: Any, whole: bool) -> float | int:
         if isinstance(item, bool) or not isinstance(item, (int, float)):
             raise ParameterError(f"{name} must be a number [{spec.unit}], not {item!r}")
+        try:
+            finite = math.isfinite(item)
+        except OverflowError:  # a whole number beyond all floats
+            finite = False
+        if not finite or not spec.low <= item <= spec.high:
+            raise ParameterError(
+                f"{name} = {item!r} is out of range: {spec.low} to {spec.high} "
+                f"[{spec.unit}], and finite"
+            )
         if whole and item != int(item):
             raise ParameterError(f"{name} must be a whole number [{spec.unit}], not {item!r}")
-        if not spec.low <= item <= spec.high:  # also refuses NaN
-            raise ParameterError(
-                f"{name} = {item!r} is out of range: {spec.low} to {spec.high} [{spec.unit}]"
-            )
         return int(item) if whole else float(item)
 
     if isinstance(spec.default, tuple):

@@ -114,8 +114,8 @@ def declare_options(node: Node, names: Sequence[str], **defaults: Any) -> dict[s
             )
         if option.choices and value not in option.choices:
             raise ParameterError(f"{name} = {value!r} must be one of {', '.join(option.choices)}")
-        least = {"cycles": -1, "seed": 0, "patience": 0.0}.get(name)
-        if least is not None and value < least:
+        least = {"cycles": -1, "seed": 0, "patience": 0}.get(name)
+        if least is not None and not value >= least:  # NaN is not
             raise ParameterError(f"{name} = {value!r} must be {least} or more: {option.doc}")
         _set(node, name, value, ParameterDescriptor(description=option.doc, read_only=True))
         values[name] = value

@@ -24,6 +24,7 @@ from ember_ros.errors import EmberError, ParameterError
 from ember_ros.params import params_sha256
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import BODY, CYCLES, Record, Recorder, load_record
+from leg_node.journal import ENDINGS
 from leg_node.table import load_table, save_table
 
 WAYS = ("loop", "graph", "processes")
@@ -59,7 +60,11 @@ def run(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ParameterError(f"cannot make the folder {out}: {error.strerror}") from error
-    for name in (SUMMARY, CYCLES, TABLE + ".journal"):  # the summary is there when all is done
+    for name in (
+        SUMMARY,
+        CYCLES,
+        *(TABLE + ending for ending in ENDINGS),
+    ):  # the summary is there when all is done
         (out / name).unlink(missing_ok=True)
     {"loop": _loop, "graph": _graph, "processes": _processes}[way](plan, out, go_on)
     record = load_record(out)

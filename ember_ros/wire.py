@@ -418,6 +418,8 @@ def read_pull(request: GetParameters.Request) -> tuple[int | None, int | None, l
         key, _, number = name.partition("=")
         if key in ("since", "upto") and number.removeprefix("-").isdecimal():
             bounds[key] = int(number)
+            if not -(2**63) <= bounds[key] < 2**63:
+                raise PushError(f"pull: {name} is no 64-bit number")
         elif name not in ("version", "cells", "values", "visits", "about"):
             raise PushError(
                 f"pull: {name!r} is unknown; since=VERSION, upto=EPOCH, version, cells, "

@@ -20,12 +20,12 @@ class Inbox:
         self.last = -1
         """The last tick that was complete."""
         self._heard: dict[str, dict[int, Any]] = {source: {} for source in sources}
-        self._stale = dict.fromkeys(sources, -1)
+        self._stale: dict[str, tuple[int, Any]] = {}
 
     def put(self, source: str, tick: int, value: Any) -> bool:
         """Keep a value; return False if its tick is over."""
         if tick <= self.last:
-            self._stale[source] = tick
+            self._stale[source] = tick, value
             return False
         heard = self._heard[source]
         heard.pop(tick, None)
@@ -45,6 +45,7 @@ class Inbox:
                 return None
             values.append(heard[tick])
         self.last = tick
+        self._stale.clear()
         for heard in self._heard.values():
             if len(heard) == 1:
                 heard.clear()
@@ -58,16 +59,17 @@ class Inbox:
         return sorted(self._heard[source])
 
     def began_anew(self) -> bool:
-        """Return whether all sources agree on one tick from before the last complete one.
+        """Return whether all sources, one after the other, spoke of one tick that is over.
 
-        A publisher delivers in order, so this is a new world whose time begins anew; then
-        everything heard is forgotten.
+        A publisher delivers in order, so this is a new world whose time begins anew; then all that
+        was heard is forgotten but for this tick, which is there to be taken.
         """
-        ticks = set(self._stale.values())
-        if len(ticks) != 1 or not 0 <= min(ticks) < self.last:
+        ticks = {tick for tick, _ in self._stale.values()}
+        if len(self._stale) < len(self._heard) or len(ticks) > 1 or self.last in ticks:
             return False
         self.last = -1
         for source, heard in self._heard.items():
             heard.clear()
-            self._stale[source] = -1
+            heard.update([self._stale[source]])
+        self._stale.clear()
         return True

@@ -1,8 +1,8 @@
-"""What makes an acknowledged push last: a line a push, in a file beside the table. Pure.
+"""What makes an acknowledged push last: a snapshot of the table, and a line a push after it. Pure.
 
-The table's file is a snapshot; the journal holds what came after it. A snapshot and its journal
-carry the same generation: a journal of an older one is already in the snapshot. After the death of
-the process, snapshot and journal together are the table as everybody was told it is.
+Both lie beside the file that the table will be saved to. A snapshot and its journal carry the same
+generation: a journal of an older one is already in the snapshot. After the death of the process,
+the two together are the table as everybody was told it is; after a good end both are gone.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from ember_ros.errors import TableError
 from ember_ros.signals import Pair
 from leg_node.shared import Push
 
+ENDINGS = (".journal", ".snapshot.npz")
+"""Behind the name of the table's file: the journal and the snapshot."""
 MOST_PUSHES = 1024
 """Pushes after which a new snapshot is due: bounds the file and the time to read it."""
 
@@ -32,11 +34,11 @@ def from_json(content: list[Any]) -> Push:
 
 
 class Journal:
-    """The pushes since a snapshot."""
+    """The pushes since a snapshot; the snapshot itself is written by its owner."""
 
     def __init__(self, table_file: Path) -> None:
         """Keep the journal of ``table_file`` beside it."""
-        self.file = table_file.with_name(table_file.name + ".journal")
+        self.file, self.snapshot = (table_file.with_name(table_file.name + end) for end in ENDINGS)
         self.pushes = 0
         self._out: Any = None
 
@@ -92,6 +94,7 @@ class Journal:
             self._out = None
 
     def remove(self) -> None:
-        """Close and remove the file: the table's file holds everything."""
+        """Close and remove both files: the table's own file holds everything."""
         self.close()
         self.file.unlink(missing_ok=True)
+        self.snapshot.unlink(missing_ok=True)

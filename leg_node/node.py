@@ -132,6 +132,7 @@ class LegNode(Node):  # type: ignore[misc]
             if self._inbox.began_anew():
                 self.get_logger().warning(f"time began anew at tick {tick}, the last was {last}")
                 self.module.restart(last, uuid.uuid4().hex)
+                self._look(tick)
             else:
                 self._refuse(f"{self.module.leg} {source}: tick {tick} is over, last was {last}")
         elif self._waiting is None:

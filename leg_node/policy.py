@@ -41,7 +41,7 @@ class EpsilonGreedy:
         """Choose among ``actions`` by ``reading``, exploring as ``learning`` says."""
         self._reading, self._learning, self._rng = reading, learning, rng
         self._actions, self._ticks = actions, ticks
-        self._epsilon: float | None = None
+        self._cycle, self._epsilon = -1, 0.0  # epsilon is worked out once a cycle
 
     def epsilon(self, tick: int) -> float:
         """Return the share of random actions at a tick: linear in cycles, then constant."""
@@ -52,8 +52,9 @@ class EpsilonGreedy:
     def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
         """Return the best action, or any with probability epsilon."""
         rng = self._rng
-        if sense.tick % self._ticks == 0 or self._epsilon is None:
-            self._epsilon = self.epsilon(sense.tick)
+        cycle = sense.tick // self._ticks
+        if cycle != self._cycle:
+            self._cycle, self._epsilon = cycle, self.epsilon(sense.tick)
         if rng.random() < self._epsilon:
             return int(rng.integers(self._actions))
         row = self._reading.row(sense.tick, state)

@@ -14,6 +14,7 @@ would overshoot.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -111,23 +112,41 @@ class SharedTable:
             self.merge(upto)
         if since is None:
             return Changes(
-                self.version, np.arange(len(self.table)), self.table.values, self.table.visits
+                self.version,
+                np.arange(len(self.table)),
+                self.table.values.copy(),
+                self.table.visits.copy(),
             )
         cells = np.flatnonzero(self._changed > since)
         return Changes(self.version, cells, self.table.values[cells], self.table.visits[cells])
 
     def merge(self, upto: int | None = None) -> None:
         """Merge all pending epochs up to and including ``upto``; all there are for None."""
-        due = sorted(epoch for epoch in self._pending if upto is None or epoch <= upto)
+        due = [epoch for epoch in self._pending if upto is None or epoch <= upto]
         if not due:
             return
         self.version += 1
+        for pair in self._in_order(due):
+            self.table.update(pair.cell, pair.target, self._floor)
+            self._changed[pair.cell] = self.version
         for epoch in due:
-            pushes = self._pending.pop(epoch)
+            del self._pending[epoch]
+
+    def _in_order(self, epochs: Iterable[int]) -> Iterator[Pair]:
+        """Yield the pending pairs of epochs as they are to be merged: epoch, tick, leg."""
+        for epoch in sorted(epochs):
+            pushes = self._pending[epoch]
             pairs = [(pair.tick, push.leg, pair) for push in pushes for pair in push.pairs]
             for _, _, pair in sorted(pairs):
-                self.table.update(pair.cell, pair.target, self._floor)
-                self._changed[pair.cell] = self.version
+                yield pair
+
+    def preview(self) -> Table:
+        """Return the table as it would be with everything merged, and merge nothing."""
+        table = Table(self.table.states, self.table.actions)
+        table.copy_from(self.table)
+        for pair in self._in_order(self._pending):
+            table.update(pair.cell, pair.target, self._floor)
+        return table
 
     def pending(self) -> list[Push]:
         """Return the pushes that are not merged yet."""
@@ -225,9 +244,10 @@ class LocalCopy:
         self.table.values[changes.cells] = changes.values
         self.table.visits[changes.cells] = changes.visits
         self.version, self._epoch = changes.version, upto
-        merged = sum(push.epoch <= upto for push in self._unmerged[: self._sent])
-        del self._unmerged[:merged]
-        self._sent -= merged
+        # Not simply the first ones: epochs of another life may be greater than those of this one.
+        left = [p for n, p in enumerate(self._unmerged) if n >= self._sent or p.epoch > upto]
+        self._sent -= len(self._unmerged) - len(left)
+        self._unmerged = left
         for push in self._unmerged:
             for pair in push.pairs:
                 self._lay(pair)

@@ -11,7 +11,6 @@ import hashlib
 import json
 import os
 import tempfile
-import zipfile
 from array import array
 from collections.abc import Mapping
 from pathlib import Path
@@ -119,8 +118,9 @@ def save_table(
         "cells_sha256": cells_sha256(params),
         "table_sha256": table.sha256(),
     }
+    text = json.dumps(about, sort_keys=True)
     shape = (table.states, table.actions)
-    handle = None
+    draft = None
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         handle, draft = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.", suffix=".npz")
@@ -129,17 +129,19 @@ def save_table(
                 out,
                 values=table.values.reshape(shape),
                 visits=table.visits.reshape(shape),
-                about=np.array(json.dumps(about, sort_keys=True)),
+                about=np.array(text),
             )
             out.flush()
             os.fsync(out.fileno())
         os.chmod(draft, 0o644)
         os.replace(draft, file)
+        draft = None
     except OSError as error:
-        if handle is not None:
+        raise TableError(f"cannot write the table {file}: {error.strerror or error}") from error
+    finally:  # also when interrupted
+        if draft is not None:
             with contextlib.suppress(OSError):
                 os.unlink(draft)
-        raise TableError(f"cannot write the table {file}: {error.strerror or error}") from error
 
 
 def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
@@ -150,15 +152,17 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
             else than ``params`` says.
     """
     try:
-        with np.load(file, allow_pickle=False) as content:
+        with file.open("rb") as raw, np.load(raw, allow_pickle=False) as content:
             values, visits, text = content["values"], content["visits"], content["about"]
-        about: dict[str, Any] = json.loads(str(text))
+        about = json.loads(str(text))
+        if not isinstance(about, dict):
+            raise ValueError("about is no JSON object")
     except FileNotFoundError:
         raise TableError(f"there is no table {file}; `ember train` makes one") from None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as e:
+    except Exception as error:  # a foreign file makes numpy, zip and zlib raise nearly anything
         raise TableError(
-            f"{file} is not a whole ember_ros table (an .npz of values, visits, about): {e}"
-        ) from e
+            f"{file} is not a whole ember_ros table (an .npz of values, visits, about): {error}"
+        ) from error
     table = empty_table(params)
     shape = (table.states, table.actions)
     if values.shape != shape or visits.shape != shape:

@@ -83,12 +83,12 @@ class TableNode(Node):  # type: ignore[misc]
         if self._save is None or self._journal is None or not self._journal.file.exists():
             return False
         try:
-            table, about = load_table(self._save, self._params)
+            table, about = load_table(self._journal.snapshot, self._params)
             state = about["shared"]
         except (TableError, KeyError) as why:
             raise TableError(
-                f"{self._journal.file} is left of a table that was cut off, but {self._save} is "
-                f"not its snapshot ({why}); move the journal away to start anew"
+                f"{self._journal.file} is left of a table that was cut off, but its snapshot "
+                f"cannot be used ({why}); move both away to start anew"
             ) from None
         self.shared = self._share(table)
         self._generation = state["generation"]
@@ -100,13 +100,12 @@ class TableNode(Node):  # type: ignore[misc]
         for push in later:
             self.shared.push(push)
         self.get_logger().warning(
-            f"taken up where it was cut off: {self._save} and {len(later)} pushes after it"
+            f"taken up where it was cut off: {self._journal.snapshot} and {len(later)} pushes after"
         )
         return True
 
     def _snapshot(self) -> None:
         """Write the table with what is not merged, and begin a new journal behind it."""
-        assert self._save is not None
         assert self._journal is not None
         self._generation += 1
         state = {
@@ -114,7 +113,8 @@ class TableNode(Node):  # type: ignore[misc]
             "done": self.shared.done(),
             "pending": [to_json(push) for push in self.shared.pending()],
         }
-        save_table(self._save, self.shared.table, self._params, self._seed, {"shared": state})
+        notes = {"shared": state}
+        save_table(self._journal.snapshot, self.shared.table, self._params, self._seed, notes)
         self._journal.begin(self._generation)
 
     # -- answering ---------------------------------------------------------------------------
@@ -165,15 +165,17 @@ class TableNode(Node):  # type: ignore[misc]
         return json.dumps({"seed": self._seed, "params": as_dict(self._params)})
 
     def save(self) -> str:
-        """Merge all there is, write the table if there is where to, and return its SHA-256.
+        """Write the table with all that was pushed, and return its SHA-256.
+
+        Nothing is merged for it: a save in the middle of an epoch must not change what is learnt.
 
         Raises:
             TableError: it cannot be written.
         """
-        self.shared.merge()
-        if self._save is not None:
-            self._snapshot()
-        return self.shared.table.sha256()
+        assert self._save is not None
+        table = self.shared.preview()
+        save_table(self._save, table, self._params, self._seed)
+        return table.sha256()
 
     def _save_now(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._save is None:
@@ -198,11 +200,9 @@ class TableNode(Node):  # type: ignore[misc]
     def finish(self, spin: Callable[[], None]) -> None:
         """Merge and write the table."""
         self.shared.merge()
-        sha = self.shared.table.sha256()
-        if self._save is not None and self._journal is not None:
-            save_table(self._save, self.shared.table, self._params, self._seed)
+        if self._journal is not None:
+            sha = self.save()
             self._journal.remove()
-        if self._save is not None:
             self.get_logger().info(f"table {sha[:12]} is in {self._save}")
 
 

@@ -331,7 +331,8 @@ def test_launch_starts_the_whole_graph(world: str, legs: tuple[str, ...]) -> Non
     }
     assert {node["package"] for node in nodes.values()} == {"ember_ros"}
     for leg in legs:
-        assert values(nodes[f"leg_{leg}"]["parameters"][-1]) == {"leg": leg}
+        given = values(nodes[f"leg_{leg}"]["parameters"][-1])
+        assert given == {"leg": leg, "stage": "train" if world == "trainer" else "walk"}
 
 
 @pytest.mark.usefixtures("recorded_launch")
@@ -353,9 +354,19 @@ def test_launch_arguments_reach_the_nodes() -> None:
         "cycles": ("7", int),
         "seed": ("3", int),
         "gui": ("true", bool),
+        "mode": ("lockstep", str),
     }
-    assert values(nodes["table_node"]["parameters"][1]) == {"table": ("t", str), "save": ("s", str)}
-    assert values(nodes[f"leg_{LEGS[0]}"]["parameters"][1]) == {"leg": LEGS[0], "seed": ("3", int)}
+    assert values(nodes["table_node"]["parameters"][1]) == {
+        "stage": "walk",
+        "table": ("t", str),
+        "save": ("s", str),
+        "seed": ("3", int),
+    }
+    assert values(nodes[f"leg_{LEGS[0]}"]["parameters"][1]) == {
+        "leg": LEGS[0],
+        "stage": "walk",
+        "seed": ("3", int),
+    }
 
 
 @pytest.mark.usefixtures("recorded_launch")

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
+from ember_ros.errors import ParameterError
 from ember_ros.params import Params
 from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
 from leg_node.gait import LegGait
@@ -83,6 +84,9 @@ class Recorder:
             legs: their names, in order.
             folder: where ``cycles.csv`` grows line by line, and where ``finish`` writes
                 ``measured.json`` and ``traces.npy``; nowhere for None.
+
+        Raises:
+            ParameterError: the folder cannot be written.
         """
         self.rows: list[Row] = []
         self.traces = array("d")
@@ -105,8 +109,13 @@ class Recorder:
         self._wall = 0.0
         self._file: TextIO | None = None
         if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
-            self._file = (folder / CYCLES).open("w", newline="", encoding="utf-8")
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                self._file = (folder / CYCLES).open("w", newline="", encoding="utf-8")
+            except OSError as error:
+                raise ParameterError(
+                    f"cannot write the record of the run into {folder}: {error.strerror}"
+                ) from error
             self._csv = csv.writer(self._file)
             self._csv.writerow(Row._fields)
 
