@@ -24,8 +24,6 @@ from ember_ros.signals import BodyState, LegCommand, LegSense, Pair, Phase
 from leg_node.shared import Push, SharedTable
 from leg_node.table import empty_table, save_table
 
-TRAINING_CYCLES = 6000
-EPOCHS = 10_000
 Say = Callable[[str], None]
 
 
@@ -46,19 +44,23 @@ class _Tape:
         self.ticks.append((phase, tuple(senses), tuple(c for c in commands if c is not None)))
 
 
-def bench(params: Params, *, cycles: int, repeats: int, say: Say) -> dict[str, Any]:
+def bench(
+    params: Params, *, cycles: int, repeats: int, train_cycles: int, epochs: int, say: Say
+) -> dict[str, Any]:
     """Measure everything and return it as plain numbers.
 
     Args:
         params: of the robot.
         cycles: of each measured walk.
         repeats: turns.
+        train_cycles: of the training that is timed, and that the walks start from.
+        epochs: pushed by four legs and pulled, to see what the table's memory does.
         say: told what is being measured.
     """
     with tempfile.TemporaryDirectory(prefix="ember_ros_bench_") as name:
         folder = Path(name)
-        say(f"training {TRAINING_CYCLES} cycles by the loop")
-        training_s = _train(params, folder / TABLE)
+        say(f"training {train_cycles} cycles by the loop")
+        training_s = _train(params, train_cycles, folder / TABLE)
         plan = Plan("walker", cycles, params=params, table=folder / TABLE)
         tape, falls = _tape(plan)
         ways: dict[str, Callable[[], float]] = {
@@ -74,7 +76,7 @@ def bench(params: Params, *, cycles: int, repeats: int, say: Say) -> dict[str, A
             for way, measure in ways.items():
                 say(f"turn {turn + 1} of {repeats}: {way}")
                 times[way].append(measure())
-    say(f"the table over {EPOCHS} epochs")
+    say(f"the table over {epochs} epochs")
     ticks = cycles * params.gait.ticks
     cost = {way: 1e6 * statistics.median(t) / ticks for way, t in times.items()}
     real_time = 1.0 / params.gait.tick_s
@@ -88,7 +90,7 @@ def bench(params: Params, *, cycles: int, repeats: int, say: Say) -> dict[str, A
         "falls": falls,
         "ticks_per_s": {way: 1e6 / us for way, us in cost.items() if way != "conversion"},
         "loop_of_physics": ratio("loop", "physics"),
-        "graph_of_loop": ratio("graph", "loop"),
+        "graph_of_loop": ratio("graph", "loop, recorded"),
         "processes_times_real_time": 1e6 / cost["processes"] / real_time,
         "us_per_tick": {
             "physics": cost["physics"],
@@ -97,15 +99,15 @@ def bench(params: Params, *, cycles: int, repeats: int, say: Say) -> dict[str, A
             "message conversion": cost["conversion"],
             "executor and transport": cost["graph"] - cost["loop, recorded"] - cost["conversion"],
         },
-        "training_cycles": TRAINING_CYCLES,
+        "training_cycles": train_cycles,
         "training_s": training_s,
-        "table": _table_memory(params),
+        "table": _table_memory(params, epochs),
         "versions": versions(),
     }
 
 
-def _train(params: Params, file: Path) -> float:
-    plan = Plan("trainer", TRAINING_CYCLES, params=params)
+def _train(params: Params, cycles: int, file: Path) -> float:
+    plan = Plan("trainer", cycles, params=params)
     loop, recorder = Loop(plan), Recorder(params, plan.legs)
     began = time.perf_counter()
     for _ in range(plan.cycles * params.gait.ticks):
@@ -200,18 +202,18 @@ def _conversion(plan: Plan, tape: _Tape) -> float:
     return time.perf_counter() - began
 
 
-def _table_memory(params: Params) -> dict[str, int]:
+def _table_memory(params: Params, epochs: int) -> dict[str, int]:
     """Push and pull for many epochs as four legs do, and see what the table's memory does."""
     import tracemalloc
 
     cells = cells_sha256(params)
     shared = SharedTable(empty_table(params), cells=cells, floor=params.walk.alpha_floor)
     ticks, size = params.gait.ticks, len(shared.table)
-    early = EPOCHS // 10
+    early = max(1, epochs // 10)
     seen: dict[str, int] = {}
     tracemalloc.start()
     try:
-        for epoch in range(EPOCHS):
+        for epoch in range(epochs):
             for leg in range(4):
                 start = 7919 * (4 * epoch + leg)
                 pairs = tuple(
@@ -221,8 +223,43 @@ def _table_memory(params: Params) -> dict[str, int]:
                 shared.push(wire.read_push(wire.write_push(push)))
             for _ in range(4):
                 shared.pull(shared.version, epoch)
-            if epoch + 1 in (early, EPOCHS):
+            if epoch + 1 in (early, epochs):
                 seen[f"bytes_after_{epoch + 1}_epochs"] = tracemalloc.get_traced_memory()[0]
     finally:
         tracemalloc.stop()
     return seen
+
+
+def lines(found: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return what was measured as pairs of a name and a figure with its unit."""
+    rows = [(way, f"{rate:.0f} ticks/s") for way, rate in found["ticks_per_s"].items()]
+    rows += [
+        ("loop, of physics alone", f"{found['loop_of_physics']:.0%}"),
+        ("graph in one process, of the loop", f"{found['graph_of_loop']:.0%}"),
+        ("seven processes", f"{found['processes_times_real_time']:.1f} times real time"),
+    ]
+    rows += [(f"a tick: {part}", f"{cost:.0f} us") for part, cost in found["us_per_tick"].items()]
+    rows.append((f"{found['training_cycles']} training cycles", f"{found['training_s']:.1f} s"))
+    rows += [
+        (f"shared table, {when.replace('_', ' ')}", f"{size / 1e6:.2f} MB")
+        for when, size in found["table"].items()
+    ]
+    return rows
+
+
+def page(found: dict[str, Any], command: str) -> str:
+    """Return what was measured as a Markdown page."""
+    head = [
+        "# What a tick costs",
+        "",
+        f"Made by `{command}`: one walk of {found['cycles']} cycles with a trained table, still "
+        f"learning ({found['falls']} falls), run in all ways in turn, {found['repeats']} turns; "
+        "medians, and ratios within one turn. Loop and graph are compared as `ember` runs them, "
+        "with their record. Versions: "
+        + ", ".join(f"{name} {number}" for name, number in found["versions"].items())
+        + ".",
+        "",
+        "| what | figure |",
+        "|---|---|",
+    ]
+    return "\n".join([*head, *(f"| {name} | {figure} |" for name, figure in lines(found))]) + "\n"

@@ -199,23 +199,28 @@ def _end_early(summary: dict[str, Any], out: Path) -> None:
 @contextmanager
 def _progress(label: str, total: int, stop: Stop, unit: str = "cycles") -> Iterator[GoOn]:
     counter = "cycles, {task.fields[falls]} falls" if unit == "cycles" else unit
-    with Progress(
+    bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn(counter),
         TimeRemainingColumn(),
         console=console,
-    ) as bar:
-        task = bar.add_task(label, total=total, falls=0)
+    )
+    task = bar.add_task(label, total=total, falls=0)
 
-        def go_on(done: int, falls: int) -> bool:
-            bar.update(task, completed=done, falls=falls)
-            return not stop.asked
+    def go_on(done: int, falls: int) -> bool:
+        bar.start()  # only now: a mistake that is found before is said in one line
+        bar.update(task, completed=done, falls=falls)
+        return not stop.asked
 
+    try:
         yield go_on
         if not stop.asked:
             bar.update(task, completed=total)
+    finally:
+        if bar.live.is_started:
+            bar.stop()
 
 
 def _number(value: float | None, form: str = ".3f") -> str:
@@ -284,8 +289,10 @@ def demo(cycles: int, walk_cycles: int, seed: int, params_file: Path | None, out
 
 
 @main.command()
-@click.option("--cycles", type=int, default=100, show_default=True, help="Of each walk.")
-@click.option("--repeats", type=int, default=5, show_default=True, help="Turns; medians count.")
+@click.option("--cycles", type=click.IntRange(4), default=100, show_default=True, help="A walk's.")
+@click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Turns.")
+@click.option("--train-cycles", type=click.IntRange(1), default=6000, show_default=True)
+@click.option("--epochs", type=click.IntRange(10), default=10_000, show_default=True)
 @click.option(
     "--params", "params_file", type=click.Path(path_type=Path), help="A ROS parameter file."
 )
@@ -294,36 +301,28 @@ def demo(cycles: int, walk_cycles: int, seed: int, params_file: Path | None, out
     type=click.Path(path_type=Path, file_okay=False),
     default="out/bench",
     show_default=True,
-    help="Folder for bench.json.",
+    help="Folder for bench.json and bench.md.",
 )
-def bench(cycles: int, repeats: int, params_file: Path | None, out: Path) -> None:
+def bench(params_file: Path | None, out: Path, **sizes: int) -> None:
     """Measure ticks a second and what a tick costs.
 
     One walk is run by physics alone, the loop, the graph in one process and in seven, in turn and
     over and over; medians and ratios within one turn are printed. The machine should be idle.
     """
-    from ember_ros.bench import bench as measure
+    from ember_ros import bench as measure
 
-    if cycles < 4 or repeats < 1:
-        raise ParameterError("--cycles must be 4 or more, --repeats 1 or more")
     params = load_params(params_file) if params_file else Params()
     with console.status("") as status:
-        found = measure(params, cycles=cycles, repeats=repeats, say=status.update)
+        found = measure.bench(params, say=status.update, **sizes)
     out.mkdir(parents=True, exist_ok=True)
     (out / "bench.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    text = measure.page(found, shlex.join(["ember", *sys.argv[1:]]))
+    (out / "bench.md").write_text(text, encoding="utf-8")
     grid = Grid(show_header=False, box=None, padding=(0, 2, 0, 0))
-    for way, rate in found["ticks_per_s"].items():
-        grid.add_row(f"{way}", f"{rate:.0f} ticks/s")
-    grid.add_row("loop of physics alone", f"{found['loop_of_physics']:.0%}")
-    grid.add_row("graph in one process of loop", f"{found['graph_of_loop']:.0%}")
-    grid.add_row("processes", f"{found['processes_times_real_time']:.1f} times real time")
-    for part, cost in found["us_per_tick"].items():
-        grid.add_row(f"a tick: {part}", f"{cost:.0f} us")
-    grid.add_row(f"{found['training_cycles']} training cycles", f"{found['training_s']:.1f} s")
-    for when, size in found["table"].items():
-        grid.add_row(f"shared table, {when.replace('_', ' ')}", f"{size / 1e6:.2f} MB")
+    for name, figure in measure.lines(found):
+        grid.add_row(name, figure)
     console.print(grid)
-    console.print(f"In {out}: bench.json")
+    console.print(f"In {out}: bench.md, bench.json")
 
 
 @main.command()
@@ -370,11 +369,8 @@ def params_command(describe: bool) -> None:
     if not describe:
         click.echo(dump_params(Params()), nl=False)
         return
-    grid = Grid(box=None, padding=(0, 2, 0, 0))
-    for column in ("name", "default", "unit", "range", "meaning"):
-        grid.add_column(column, overflow="fold")
     for name, spec in SPECS.items():
         default = spec.default
         shown = ", ".join(map(str, default)) if isinstance(default, tuple) else str(default)
-        grid.add_row(name, shown, spec.unit, f"{spec.low:g} to {spec.high:g}", spec.doc)
-    console.print(grid)
+        click.echo(f"{name} = {shown} [{spec.unit}], {spec.low:g} to {spec.high:g}")
+        click.echo(f"    {spec.doc}")

@@ -32,8 +32,11 @@ def load_params(file: Path) -> Params:
     section = content[SECTION]
     if not isinstance(section, dict) or set(section) != {NUMBERS}:
         raise ParameterError(f"{file}: {right}")
+    numbers = section[NUMBERS] or {}
+    if not isinstance(numbers, dict):
+        raise ParameterError(f"{file}: {right}")
     changes: dict[str, Any] = {}
-    for group, fields in (section[NUMBERS] or {}).items():
+    for group, fields in numbers.items():
         if isinstance(fields, dict):
             changes.update({f"{group}.{name}": value for name, value in fields.items()})
         else:  # also written as one dotted name, as `ros2 param dump` does not but people do

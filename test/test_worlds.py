@@ -15,7 +15,7 @@ from ember_ros import kinematics
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
 from ember_ros.plan import Plan, make_world
-from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense
+from ember_ros.signals import LEGS, TRAINER_LEG, BodyState, LegCommand, LegSense
 from sim_node.fake import FakeWorld
 from sim_node.world import World
 
@@ -33,6 +33,7 @@ every_world = pytest.mark.parametrize(
 )
 
 Make = Callable[..., World]
+Said = tuple[tuple[LegSense, ...], BodyState]
 
 
 @pytest.fixture
@@ -43,7 +44,7 @@ def make() -> Iterator[Make]:
     def build(kind: str, seed: int = 3, **changes: Any) -> World:
         params = replace(PARAMS, {name.replace("__", "."): x for name, x in changes.items()})
         if kind == "fake":
-            made.append(FakeWorld(LEGS, params, falls_at={40, 41, 90}))
+            made.append(FakeWorld(LEGS, params, falls_at={60, 61, 90}))
         else:
             if kind == "modulated trainer":
                 params = replace(params, {"trainer.modulation": 0.05})
@@ -60,10 +61,10 @@ def command(tick: int, hip_speed: float = 0.0, knee_speed: float = 0.0) -> LegCo
     return LegCommand(tick, hip_speed, knee_speed, LEG.hip_torque, LEG.knee_torque)
 
 
-def wild(world: World, ticks: int, seed: int = 1, begin: int = 0) -> list[object]:
+def wild(world: World, ticks: int, seed: int = 1, begin: int = 0) -> list[Said]:
     """Drive a world with random commands; return all it said, tick by tick."""
     rng = np.random.default_rng(seed)
-    said: list[object] = [(world.observe(), world.body())]
+    said: list[Said] = [(world.observe(), world.body())]
     for tick in range(begin, begin + ticks):
         commands = [
             command(tick, float(rng.uniform(-10.0, 10.0)), float(rng.choice(LEG.knee_speeds)))
@@ -123,7 +124,7 @@ def test_observing_changes_nothing(make: Make, kind: str) -> None:
 @every_world
 def test_ticks_are_counted_over_falls(make: Make, kind: str) -> None:
     """Senses carry 0, 1, 2, ... for all legs, whatever happens; falls never become fewer."""
-    said: list[Any] = wild(make(kind), 150)
+    said = wild(make(kind), 150)
     ticks = [{sense.tick for sense in senses} for senses, _ in said]
     assert ticks == [{tick} for tick in range(151)]
     falls = [body.falls for _, body in said]
@@ -162,7 +163,7 @@ def test_two_worlds_do_not_influence_each_other(make: Make, kind: str, neighbour
         pytest.skip("pybullet is missing")
     alone = wild(make(kind), 100)
     world, other = make(kind), make(neighbour, physics__friction=0.5, physics__substeps=3)
-    together: list[object] = [(world.observe(), world.body())]
+    together: list[Said] = [(world.observe(), world.body())]
     rng = np.random.default_rng(1)
     for tick in range(100):
         commands = [
@@ -199,7 +200,7 @@ def test_senses_share_no_memory(make: Make, kind: str) -> None:
 @every_world
 def test_every_sense_senses(make: Make, kind: str) -> None:
     """Driven at random, no sense of any leg stays the same, but for the restart."""
-    said: list[Any] = wild(make(kind), 300)
+    said = wild(make(kind), 300)
     for place in range(len(said[0][0])):
         for name in LegSense._fields:
             seen = {getattr(senses[place], name) for senses, _ in said}
@@ -209,7 +210,7 @@ def test_every_sense_senses(make: Make, kind: str) -> None:
 @every_world
 def test_senses_agree_with_each_other(make: Make, kind: str) -> None:
     """Finite, in range, and of one story: contact needs force, slip needs contact, knees end."""
-    for senses, _ in wild(make(kind), 300):  # type: ignore[misc]
+    for senses, _ in wild(make(kind), 300):
         for sense in senses:
             assert all(map(math.isfinite, sense))
             assert 0.0 <= sense.force_mean <= sense.force_peak
@@ -255,19 +256,16 @@ def test_a_leg_without_a_command_holds_still(make: Make, kind: str) -> None:
 def test_a_knee_stops_at_its_limits(make: Make, kind: str) -> None:
     """Driven on at full speed, a knee stays at its limit, but for a small overshoot."""
     world = make(kind, walker__fall_height=0.0, walker__fall_angle=3.0)
-    for sense in (
-        s for senses in drive(world, range(40), {world.legs[0]: (0.0, 28.0)}) for s in senses[:1]
-    ):
-        assert -OVERSHOOT <= sense.knee <= LEG.knee_max + OVERSHOOT
-    assert sense.knee == pytest.approx(LEG.knee_max, abs=OVERSHOOT)
-    for senses in drive(world, range(40, 80), {world.legs[0]: (0.0, -28.0)}):
-        assert -OVERSHOOT <= senses[0].knee <= LEG.knee_max + OVERSHOOT
-    assert senses[0].knee == pytest.approx(0.0, abs=OVERSHOOT)
+    for ticks, speed, end in ((range(28), 28.0, LEG.knee_max), (range(28, 56), -28.0, 0.0)):
+        knees = [senses[0].knee for senses in drive(world, ticks, {world.legs[0]: (0.0, speed)})]
+        assert min(knees) >= -OVERSHOOT
+        assert max(knees) <= LEG.knee_max + OVERSHOOT
+        assert knees[-1] == pytest.approx(end, abs=OVERSHOOT)
 
 
 @every_world
 def test_the_hair_feels_the_ground_before_the_foot(make: Make, kind: str) -> None:
-    """High up neither touches; on the way down the hair is first, and stays while the foot is on."""
+    """High up neither touches; on the way down the hair is first, and touches as the foot does."""
     world = make(kind)
     first = world.legs[0]
     *_, lifted = drive(world, range(6), {first: (0.0, 28.0)})
@@ -315,10 +313,10 @@ def test_a_foot_that_rests_does_not_slip(make: Make) -> None:
 def test_a_foot_that_rolls_does_not_slip(make: Make, radius: float) -> None:
     """Legs that carry the body forward roll over their feet: up to 2 mm a tick that is no slip."""
     world = make("walker", walker__twist_amplitude=0.0, leg__foot_radius=radius)
-    for _ in drive(world, range(36), {}):
+    for _ in drive(world, range(32), {}):
         pass
-    before = world.observe()
-    for after in drive(world, range(36, 48), dict.fromkeys(LEGS, (-1.0, 0.0))):
+    *_, before = drive(world, range(32, 40), dict.fromkeys(LEGS, (-1.0, 0.0)))
+    for after in drive(world, range(40, 48), dict.fromkeys(LEGS, (-1.0, 0.0))):
         for old, new in zip(before, after, strict=True):
             rolled = radius * abs(new.inclination - old.inclination)
             assert new.slip < 0.1 * rolled
@@ -357,7 +355,7 @@ def test_standing_feet_bear_the_weight(make: Make) -> None:
 
 @needs_bullet
 def test_walking_feet_bear_the_weight() -> None:
-    """Over whole cycles of walking the mean force is the weight: nothing is missed between ticks."""
+    """Over cycles of walking the mean force is the weight: nothing is missed between ticks."""
     loop = Loop(Plan("walker", 12, policy="scripted"))
     forces = []
     for _ in range(12 * TICKS):
@@ -502,53 +500,52 @@ def test_the_stop_is_where_it_is_put(make: Make, stop_height: float) -> None:
     assert resting[-1] == pytest.approx(stop_height, abs=0.001)
 
 
+def modulated(world: World, ticks: int) -> list[tuple[float, float]]:
+    """Return the heights of a modulated stop, and of the attachment that rests on it."""
+    speeds = {TRAINER_LEG: (0.0, 28.0)}
+    return [
+        (world._stop, world.body().height)  # type: ignore[attr-defined]
+        for _ in drive(world, range(ticks), speeds)
+    ]
+
+
 @needs_bullet
 def test_a_modulated_stop_stays_in_bounds_and_slews(make: Make) -> None:
     """Twenty cycles: never beyond its bounds, never faster than it may, and it does move."""
-    world, trainer = make("modulated trainer"), PARAMS.trainer
-    stops = []
-    resting = []
-    for height in heights(world, 20 * TICKS):
-        stops.append(world._stop)  # type: ignore[attr-defined]
-        resting.append(height)
+    trainer = PARAMS.trainer
+    stops, resting = zip(*modulated(make("modulated trainer"), 20 * TICKS), strict=True)
     assert min(stops) >= trainer.stop_low
     assert max(stops) <= trainer.stop_high
     steps = [abs(b - a) for a, b in pairwise(stops)]
     assert max(steps) == pytest.approx(trainer.stop_slew)
     assert len({round(stop, 6) for stop in stops}) > 50
-    # The bar rests on it: it falls after a stop that goes down, so it may be a little late.
+    # Where the bar rests; it follows a stop that goes down by its own weight, a little later.
     assert max(abs(a - b) for a, b in zip(resting[TICKS:], stops[TICKS:], strict=True)) < 0.005
 
 
 @needs_bullet
-def test_the_stop_changes_with_the_cycle_only(make: Make) -> None:
+def test_a_modulated_stop_changes_with_the_cycle_only(make: Make) -> None:
     """One height is drawn a cycle: within it the stop goes one way or rests."""
-    world = make("modulated trainer")
-    stops = [world._stop for _ in heights(world, 20 * TICKS)]  # type: ignore[attr-defined]
+    stops = [stop for stop, _ in modulated(make("modulated trainer"), 20 * TICKS)]
     for cycle in range(20):
         part = stops[cycle * TICKS : (cycle + 1) * TICKS]
         ways = {math.copysign(1.0, b - a) for a, b in pairwise(part) if a != b}
         assert len(ways) <= 1
 
 
-def stops_of(world: World, ticks: int) -> list[float]:
-    """Return the attachment's heights of a leg drawn up: those of the stop."""
-    return heights(world, ticks)
-
-
 @needs_bullet
 def test_the_seed_decides_the_stops(make: Make) -> None:
     """The same seed draws the same heights, another one others; a fixed stop has no seed."""
-    runs = [stops_of(make("modulated trainer", seed=seed), 3 * TICKS) for seed in (1, 1, 2)]
+    runs = [heights(make("modulated trainer", seed=seed), 3 * TICKS) for seed in (1, 1, 2)]
     assert runs[0] == runs[1] != runs[2]
-    fixed = [stops_of(make("trainer", seed=seed), TICKS) for seed in (1, 2)]
+    fixed = [heights(make("trainer", seed=seed), TICKS) for seed in (1, 2)]
     assert fixed[0] == fixed[1]
 
 
 @needs_bullet
 def test_the_trainer_never_falls(make: Make) -> None:
     """It is stable from the outset, whatever the leg does: no falls, no tilt, no restart."""
-    for senses, body in wild(make("trainer"), 300):  # type: ignore[misc]
+    for senses, body in wild(make("trainer"), 300):
         assert (body.falls, body.roll, body.pitch, body.y) == (0, 0.0, 0.0, 0.0)
         assert not senses[0].restart
 

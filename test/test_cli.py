@@ -1,0 +1,268 @@
+"""The command line: what a person types, and what is left behind."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from ember_ros.cli import main
+from ember_ros.params import Params
+from ember_ros.params_file import dump_params, load_params
+from ember_ros.report.recorder import Row, load_record
+from ember_ros.run import SUMMARY, TABLE
+from leg_node.table import load_table
+
+pytest.importorskip("pybullet", reason="every command here builds a world")
+
+Run = Callable[..., str]
+
+SUMMARY_KEYS = {
+    "command", "seed", "cycles", "falls", "first_fall", "distance_per_cycle_m", "roll_sd_rad",
+    "pitch_sd_rad", "table_sha256", "commands_sha256", "senses_sha256", "wall_s", "ticks_per_s",
+    "versions",
+}  # fmt: skip
+
+
+def ember(*words: Any) -> int:
+    """Run the command in this process and return its exit code."""
+    with pytest.raises(SystemExit) as end:
+        main.main([str(word) for word in words], prog_name="ember")
+    assert isinstance(end.value.code, int)
+    return end.value.code
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+    """Return a runner of commands in a folder of its own; it returns all that was printed."""
+    monkeypatch.chdir(tmp_path)
+
+    def go(*words: Any, code: int = 0) -> str:
+        capfd.readouterr()
+        got = ember(*words)
+        output = "".join(capfd.readouterr())
+        assert got == code, output
+        return output
+
+    return go
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a table after some training."""
+    out = tmp_path_factory.mktemp("trained") / "run"
+    assert ember("train", "--cycles", 30, "--out", out) == 0
+    return out / TABLE
+
+
+@pytest.mark.parametrize("verb", ["", "train", "walk", "demo", "bench", "experiment", "params"])
+def test_help_tells_what_each_option_does(run: Run, verb: str) -> None:
+    """Every command says what it is for, and shows its options with their defaults."""
+    text = run(*verb.split(), "--help")
+    words = " ".join(text.split())
+    assert len(text.splitlines()) > 8
+    if verb in ("train", "walk", "demo", "bench", "experiment"):
+        assert "--out" in text
+        assert "default: out/" in words
+
+
+@pytest.mark.parametrize("way", ["loop", "graph", "processes"])
+def test_every_way_leaves_the_same_files(run: Run, table: Path, way: str) -> None:
+    """Table, lines a cycle, summary and picture, whichever way it ran."""
+    run("walk", "--cycles", 3, "--seed", 2, "--on", way, "--table", table, "--out", "o")
+    summary = json.loads(Path("o", SUMMARY).read_text())
+    assert summary.keys() >= SUMMARY_KEYS
+    assert (summary["cycles"], summary["seed"], summary["on"]) == (3, 2, way)
+    assert summary["complete"]
+    learnt, about = load_table(Path("o", TABLE), Params())
+    assert learnt.sha256() == summary["table_sha256"] == about["table_sha256"]
+    assert about["seed"] == 2
+    with Path("o/cycles.csv").open() as file:
+        lines = list(csv.reader(file))
+    assert tuple(lines[0]) == Row._fields
+    assert len(lines) == 1 + 3 * 5
+    assert load_record(Path("o")).traces.shape == (3 * 32, 4)
+    assert Path("o/run.png").read_bytes().startswith(b"\x89PNG")
+    assert not list(Path("o").glob("*.journal")) + list(Path("o").glob("*.snapshot.npz"))
+
+
+def test_the_table_that_was_learnt_is_where_walking_starts(run: Run, table: Path) -> None:
+    """A frozen walk ends with the very table it began with; a learning one does not."""
+    before = load_table(table, Params())[0].sha256()
+    run("walk", "--cycles", 2, "--freeze", "--table", table, "--out", "a", "--on", "loop")
+    run("walk", "--cycles", 2, "--table", table, "--out", "b", "--on", "loop")
+    after = [json.loads(Path(o, SUMMARY).read_text())["table_sha256"] for o in "ab"]
+    assert after[0] == before
+    assert after[1] != before
+
+
+@pytest.mark.parametrize("policy", ["scripted", "random"])
+def test_baselines_learn_only_when_asked(run: Run, policy: str) -> None:
+    """Without --learn the table of a baseline stays empty; with it, it fills."""
+    for out, words in (("a", ()), ("b", ("--learn",))):
+        run("walk", "--cycles", 2, "--on", "loop", "--policy", policy, "--out", out, *words)
+    empty, filled = (load_table(Path(o, TABLE), Params())[0].visits.sum() for o in "ab")
+    assert empty == 0
+    assert filled > 4 * 60
+
+
+def test_an_earlier_run_is_not_replaced_unasked(run: Run) -> None:
+    """What was learnt is not lost to a second run in the same folder."""
+    run("train", "--cycles", 1)
+    before = Path("out/train", TABLE).read_bytes()
+    assert "earlier run" in run("train", "--cycles", 2, code=2)
+    assert Path("out/train", TABLE).read_bytes() == before
+    run("train", "--cycles", 2, "--force")
+    assert Path("out/train", TABLE).read_bytes() != before
+
+
+def _truncated(file: Path, whole: bytes) -> None:
+    file.write_bytes(whole[: len(whole) // 2])
+
+
+def _foreign(file: Path, whole: bytes) -> None:
+    np.savez(file, weights=np.ones(3))
+
+
+def _missing(file: Path, whole: bytes) -> None:
+    file.unlink()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [(_truncated, "not a whole"), (_foreign, "not a whole"), (_missing, "there is no table")],
+)
+@pytest.mark.parametrize("way", ["loop", "graph", "processes"])
+def test_a_bad_table_is_said_before_anything_starts(
+    run: Run, table: Path, spoil: Callable[[Path, bytes], None], says: str, way: str
+) -> None:
+    """One line that names the file; no half-made folder, no node left behind."""
+    bad = Path("bad.npz")
+    bad.write_bytes(table.read_bytes())
+    spoil(bad, table.read_bytes())
+    output = run("walk", "--cycles", 2, "--on", way, "--table", bad, "--out", "o", code=2)
+    assert len(output.strip().splitlines()) == 1
+    assert output.startswith("error: ")
+    assert "bad.npz" in output
+    assert says in output
+    assert not Path("o").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("/**: {ros__parameters: {walker: {lenght: 2.0}}}", "did you mean walker.length"),
+        ("/**: {ros__parameters: {walker: {length: 99.0}}}", "out of range: 0.1 to 10.0"),
+        ("/**: {ros__parameters: {walker: {length: long}}}", "must be a number"),
+        ("/**: {ros__parameters: {walker.length: 99.0}}", "out of range"),
+        ("/**: {ros__parameters: [1]}", "would be right"),
+        ("/**: {ros__parameters: {walk: {gamma: .nan}}}", "out of range"),
+        ("walker: {length: 2.0}", "would be right"),
+        ("/**: {ros__parameters: {", "is no YAML"),
+        ("", "would be right"),
+    ],
+)
+def test_a_bad_parameter_file_is_said_in_one_line(run: Run, content: str, says: str) -> None:
+    """File, name, value and what would be right."""
+    Path("p.yaml").write_text(content)
+    output = run("walk", "--params", "p.yaml", code=2)
+    assert output.startswith("error: ")
+    assert "p.yaml" in output
+    assert says in output
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--cycles", -1), "cycles = -1 must be 0 or more"),
+        (("--seed", -1), "seed = -1 must be 0 or more"),
+        (("--params", "none.yaml"), "none.yaml"),
+        (("--out", "/proc/ember"), "/proc/ember"),
+        (("--on", "moon"), "moon"),
+        (("--policy", "none"), "none"),
+    ],
+)
+def test_a_bad_option_is_said(run: Run, words: tuple[Any, ...], says: str) -> None:
+    """Exit code 2, the option's value, no traceback."""
+    output = run("train", "--cycles", 1, *words, code=2)
+    assert says in output
+    assert "Traceback" not in output
+
+
+def test_no_cycles_are_a_run_as_well(run: Run) -> None:
+    """Nothing is done, everything is written, on the graph too."""
+    for way in ("loop", "graph"):
+        run("walk", "--cycles", 0, "--on", way, "--out", way)
+        assert json.loads(Path(way, SUMMARY).read_text())["cycles"] == 0
+
+
+def test_printed_parameters_are_a_file_that_says_the_same(run: Run) -> None:
+    """`ember params` round-trips through the reader, every number of it."""
+    text = run("params")
+    assert text == dump_params(Params())
+    Path("p.yaml").write_text(text)
+    assert load_params(Path("p.yaml")) == Params()
+    assert set(yaml.safe_load(text)) == {"/**"}
+    described = " ".join(run("params", "--describe").split())
+    assert "hip axis to the middle plane" in described
+
+
+def test_demo_trains_walks_and_draws(run: Run) -> None:
+    """Both runs and a picture of both; a second demo replaces the first."""
+    for _ in range(2):
+        run("demo", "--cycles", 20, "--walk-cycles", 3)
+        walk = json.loads(Path("out/demo/walk", SUMMARY).read_text())
+        train = json.loads(Path("out/demo/train", SUMMARY).read_text())
+        assert walk["start_table"] == str(Path("out/demo/train", TABLE))
+        assert (train["on"], walk["on"]) == ("loop", "graph")
+        assert walk["learning"]
+        assert walk["table_sha256"] != train["table_sha256"]
+    assert Path("out/demo/demo.png").stat().st_size > 20_000
+
+
+@pytest.mark.parametrize("way", ["loop", "graph", "processes"])
+def test_ctrl_c_saves_what_was_learnt(tmp_path: Path, way: str) -> None:
+    """SIGINT in the middle: exit code 130, a whole table that holds what was learnt."""
+    command = [sys.executable, "-m", "ember_ros", "walk", "--cycles", "1000000", "--on", way]
+    with subprocess.Popen([*command, "--out", "o"], cwd=tmp_path, stdout=subprocess.PIPE) as child:
+        record = tmp_path / "o" / "cycles.csv"
+        while child.poll() is None and not (record.exists() and record.stat().st_size > 400):
+            pass
+        child.send_signal(signal.SIGINT)
+        output = child.communicate(timeout=60)[0].decode()
+    assert child.returncode == 130, output
+    assert "what was learnt is in o/table.npz" in output
+    summary = json.loads((tmp_path / "o" / SUMMARY).read_text())
+    assert not summary["complete"]
+    assert summary["cycles"] >= 1
+    assert load_table(tmp_path / "o" / TABLE, Params())[0].visits.sum() > 100
+
+
+def test_first_light_writes_its_page(run: Run) -> None:
+    """A small one: a line a seed and walker, and the numbers behind them."""
+    run("experiment", "first-light", "--seeds", 2, "--cycles", 3, "--walk-cycles", 2)
+    found = json.loads(Path("out/experiments/first-light.json").read_text())
+    assert [each["seed"] for each in found] == [0, 1]
+    page = Path("out/experiments/first-light.md").read_text()
+    assert page.count("\n| scripted |") == 2
+    assert f"{found[1]['trained']['distance_per_cycle_m']:.3f}" in page
+
+
+def test_bench_measures_every_way(run: Run) -> None:
+    """A small one: every figure is there and positive; none is judged."""
+    run("bench", "--cycles", 4, "--repeats", 1, "--train-cycles", 5, "--epochs", 20)
+    found = json.loads(Path("out/bench/bench.json").read_text())
+    ways = {"physics", "loop", "loop, recorded", "graph", "processes"}
+    assert set(found["ticks_per_s"]) == ways
+    assert min(found["ticks_per_s"].values()) > 0
+    assert found["us_per_tick"]["message conversion"] > 0
+    assert "| seven processes |" in Path("out/bench/bench.md").read_text()
