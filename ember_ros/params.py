@@ -171,6 +171,15 @@ class Learning:
     epsilon_start: float = num(0.20, "1", "share of random actions at first", 0.0, 1.0)
     epsilon_end: float = num(0.01, "1", "share of random actions in the end", 0.0, 1.0)
     epsilon_cycles: int = num(3000, "cycle", "from the first to the last", 1, 10**9)
+    smooth: float = num(0.0, "1", "say of a neighbour one bin away; 0: none, the paper's", 0.0, 0.9)
+    smooth_hair: float = num(0.2, "1", "the same for the other state of the hair", 0.0, 0.9)
+    smooth_every: int = num(4, "cycle", "between two smoothed readings of the table", 1, 10**6)
+    visits_own: int = num(100, "1", "most visits of a cell that count for itself", 1, 10**9)
+    visits_near: int = num(5, "1", "most visits of a cell that count for its neighbours", 0, 10**9)
+    prior: float = num(2.0, "visit", "weight of the whole state for each action", 0.001, 1e6)
+    pessimism: float = num(
+        1.0, "1", "an untried action is this much worse than its state", 0.0, 1e6
+    )
     sync_every: int = num(32, "tick", "ticks between syncs with the shared table", 1, 10**6)
 
 

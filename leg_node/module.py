@@ -13,7 +13,7 @@ from ember_ros.randomness import generator
 from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense, Pair, Phase
 from leg_node.gait import LegGait
 from leg_node.policy import POLICIES, EpsilonGreedy, Policy, Random, Scripted
-from leg_node.reading import PlainReading
+from leg_node.reading import PlainReading, Reading, SmoothReading
 from leg_node.reward import Rewarder
 from leg_node.shared import LocalCopy
 from leg_node.state import Partition
@@ -87,7 +87,10 @@ class LegModule:
             floor=numbers.alpha_floor,
             sync_every=numbers.sync_every if shared else 0,
         )
-        self._reading = PlainReading(self.copy.table)
+        self._reading: Reading = PlainReading(self.copy.table)
+        if numbers.smooth > 0.0:
+            shape, ticks = self._partition.shape, params.gait.ticks
+            self._reading = SmoothReading(self.copy.table, shape, numbers, ticks)
         self._policy = self._make_policy(policy, numbers, seed)
         self._actions = len(params.leg.knee_speeds)
         self._tick_s = params.gait.tick_s

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from leg_node.table import Table
+import numpy as np
+
+from ember_ros.params import Learning
+from leg_node.table import Floats, Table
 
 
 class Reading(Protocol):
@@ -29,3 +32,75 @@ class PlainReading:
     def row(self, tick: int, state: int) -> list[float]:
         """Return the state's values."""
         return self._table.row(state)
+
+
+class SmoothReading:
+    """Similar local states want similar local actions (paper, section V): neighbours have a say.
+
+    A cell's neighbours count by a kernel that falls with every bin between them, and by how often
+    they were visited; stance and swing have nothing to say to each other. What is known of a whole
+    state stands in for actions that were hardly tried, less ``pessimism``: an untried action is
+    not good merely because all others have been found to cost something.
+    """
+
+    def __init__(
+        self, table: Table, shape: tuple[int, int, int, int, int], numbers: Learning, ticks: int
+    ) -> None:
+        """Read from ``table``, anew every ``smooth_every`` cycles.
+
+        Args:
+            table: now and later.
+            shape: bins of hip, force, inclination, swing and hair.
+            numbers: ``smooth`` and its companions.
+            ticks: of a cycle.
+        """
+        self._table, self._numbers = table, numbers
+        self._shape = (*shape, table.actions)
+        self._every = numbers.smooth_every * ticks
+        self._turn = -1
+        self._values: Floats = np.empty((table.states, table.actions))
+        hip, force, inclination, _, hair, actions = self._shape
+        self._kernels = {
+            0: self._kernel(hip, numbers.smooth),
+            1: self._kernel(force, numbers.smooth),
+            2: self._kernel(inclination, numbers.smooth),
+            4: self._kernel(hair, numbers.smooth_hair),
+            5: self._kernel(actions, numbers.smooth),
+        }
+
+    @staticmethod
+    def _kernel(bins: int, factor: float) -> Floats:
+        places = np.arange(bins)
+        kernel: Floats = factor ** np.abs(places[:, None] - places).astype(float)
+        return kernel
+
+    def row(self, tick: int, state: int) -> list[float]:
+        """Return what the table and its neighbourhood say of the state's actions."""
+        turn = tick // self._every
+        if turn != self._turn:
+            self._turn = turn
+            self._read()
+        row: list[float] = self._values[state].tolist()
+        return row
+
+    def _spread(self, field: Floats) -> Floats:
+        """Return a field in which every cell has its neighbours' share, its own once."""
+        for axis, kernel in self._kernels.items():
+            field = np.moveaxis(np.tensordot(kernel, field, axes=(1, axis)), 0, axis)
+        return field
+
+    def _read(self) -> None:
+        numbers = self._numbers
+        values = self._table.values.reshape(self._shape)
+        visits = self._table.visits.reshape(self._shape)
+        own = np.minimum(visits, numbers.visits_own).astype(float)
+        near = np.minimum(visits, numbers.visits_near).astype(float)
+        weight = self._spread(near) + (own - near)
+        total = self._spread(near * values) + (own - near) * values
+        known = weight.sum(axis=-1, keepdims=True)
+        state = np.divide(
+            total.sum(axis=-1, keepdims=True), known, out=np.zeros_like(known), where=known > 0.0
+        )
+        prior = numbers.prior
+        believed = (total + prior * (state - numbers.pessimism)) / (weight + prior)
+        self._values = believed.reshape(self._table.states, self._table.actions)

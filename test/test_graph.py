@@ -299,12 +299,12 @@ SAYS: dict[str, tuple[tuple[str, ...], str, Callable[[Stranger], bytes]]] = {
     "command of negative torque": (SIM, COMMAND, lambda s: s.command(s.tick, hip_torque=-1.0)),
     "command that is no message": (SIM, COMMAND, lambda s: b""),
     "command of the past": (SIM, COMMAND, lambda s: s.command(s.tick - 1)),
-    "command of the future": (SIM, COMMAND, lambda s: s.command(s.tick + 1 + s.turn)),
+    "command of the future": (SIM, COMMAND, lambda s: s.command(s.tick + 1000)),
     "phase not finite": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase(NAN)),
     "phase under 0": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase(-1.0)),
     "phase between ticks": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase(0.3)),
     "phase of the past": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase((s.tick - 2) / 32)),
-    "phase of the future": (SIM, PHASE, lambda s: wire.pack_phase(s.tick + 2 + s.turn)),
+    "phase of the future": (SIM, PHASE, lambda s: wire.pack_phase(s.tick + 1000.0)),
 }  # fmt: skip
 
 
