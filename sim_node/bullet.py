@@ -74,6 +74,10 @@ class BulletWorld(ABC):
     """
 
     legs: tuple[str, ...]
+    body_joints: tuple[str, ...] = ()
+    """Joints that no leg owns, read with the legs' joints in one call into ``_body_joints``."""
+    body_links: tuple[str, ...] = ()
+    """Links that no leg owns, read with the feet in one call into ``_body_links``."""
 
     def __init__(self, params: Params, *, gui: bool = False) -> None:
         """Build the world at tick 0.
@@ -108,8 +112,12 @@ class BulletWorld(ABC):
         """Set the motors that no leg owns for the coming tick."""
 
     @abstractmethod
-    def _sense_body(self) -> None:
-        """Read the body after a tick, and decide whether it fell."""
+    def _read_body(self) -> None:
+        """Read the body, its joints and links having been sensed."""
+
+    @abstractmethod
+    def _fell(self) -> bool:
+        """Return whether the robot fell in this tick, and count it; it is then built anew."""
 
     @abstractmethod
     def body(self) -> BodyState:
@@ -152,7 +160,9 @@ class BulletWorld(ABC):
             self._feel(bullet.getContactPoints(robot, physicsClientId=client))
         self._tick += 1
         self._senses = self._sense(restart=False)
-        self._sense_body()
+        self._read_body()
+        if self._fell():
+            self._build()
 
     # -- building ----------------------------------------------------------------------------
 
@@ -216,9 +226,11 @@ class BulletWorld(ABC):
             for n in self.legs
         ]
         self._by_link = {mount.foot: mount for mount in self._mounts}
-        self._body_links = frozenset({-1, links.get("rear", -1)})
         self._motors = [j for mount in self._mounts for j in (mount.hip, mount.knee)]
-        self._feet = [mount.foot for mount in self._mounts]
+        self._read_joints = self._motors + [self._joints[name] for name in self.body_joints]
+        own = [links[name] for name in self.body_links]
+        self._read_links = [mount.foot for mount in self._mounts] + own
+        self._trunk = frozenset({-1, *own})  # links that must not touch the ground
         # Stand with each foot under its hip, at the operating height.
         hip = math.acos((leg.operating_height - leg.foot_radius) / (self._reach - leg.foot_radius))
         knee = kinematics.knee_for_height(leg, hip, leg.operating_height)
@@ -229,6 +241,7 @@ class BulletWorld(ABC):
         self._body_touched = False
         self._steps = 0
         self._senses = self._sense(restart=self._tick > 0)
+        self._read_body()
 
     @property
     def fixed(self) -> bool:
@@ -277,7 +290,7 @@ class BulletWorld(ABC):
         for contact in contacts:
             mount = by_link.get(contact[3])
             if mount is None:
-                if contact[3] in self._body_links:
+                if contact[3] in self._trunk:
                     self._body_touched = True
                 continue
             force = contact[9]
@@ -301,10 +314,11 @@ class BulletWorld(ABC):
         """Read all sensors."""
         client, params, tick = self._client, self.params, self._tick
         substeps, radius = params.physics.substeps, params.leg.foot_radius
-        joints = bullet.getJointStates(self._robot, self._motors, client)
+        joints = bullet.getJointStates(self._robot, self._read_joints, client)
         feet = bullet.getLinkStates(
-            self._robot, self._feet, computeForwardKinematics=1, physicsClientId=client
+            self._robot, self._read_links, computeForwardKinematics=1, physicsClientId=client
         )
+        self._body_joints, self._body_links = joints[len(self._motors) :], feet[len(self.legs) :]
         senses = []
         for n, mount in enumerate(self._mounts):
             hip, knee, foot = joints[2 * n], joints[2 * n + 1], feet[n]

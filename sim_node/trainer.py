@@ -21,6 +21,7 @@ class TrainerWorld(BulletWorld):
 
     legs: tuple[str, ...] = (TRAINER_LEG,)
     fixed = True
+    body_joints = ("axle", "hinge")
 
     def __init__(self, params: Params, *, seed: int = 0, gui: bool = False) -> None:
         """Build the trainer; ``seed`` decides the heights of a modulated stop."""
@@ -67,7 +68,6 @@ class TrainerWorld(BulletWorld):
         self._set_stop(self._stop)
         start = max(self._stop, self.params.leg.operating_height)
         bullet.resetJointState(self._robot, hinge, self._angle(start), physicsClientId=client)
-        self._sense_body()
 
     def _drive(self, phase: Phase) -> None:
         trainer = self.params.trainer
@@ -94,8 +94,9 @@ class TrainerWorld(BulletWorld):
             physicsClientId=self._client,
         )
 
-    def _sense_body(self) -> None:
-        axle, hinge = bullet.getJointStates(
-            self._robot, [self._joints["axle"], self._joints["hinge"]], self._client
-        )
+    def _read_body(self) -> None:
+        axle, hinge = self._body_joints
         self._axle, self._hinge = axle[0], hinge[0]
+
+    def _fell(self) -> bool:
+        return False  # the stop holds it

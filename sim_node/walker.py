@@ -19,6 +19,8 @@ class WalkerWorld(BulletWorld):
     """
 
     legs: tuple[str, ...] = LEGS
+    body_joints = ("twist",)
+    body_links = ("rear",)
 
     def __init__(self, params: Params, *, gui: bool = False) -> None:
         """Build the walker, standing."""
@@ -41,8 +43,7 @@ class WalkerWorld(BulletWorld):
         return (*self._start, self.params.leg.operating_height)
 
     def _prepare(self) -> None:
-        self._low = 0
-        self._body = self._read_body()
+        self._low = 0  # ticks on end with the hips too low
 
     def _drive(self, phase: Phase) -> None:
         """Twist in synchrony with the phase, so that the swinging legs are raised.
@@ -64,16 +65,13 @@ class WalkerWorld(BulletWorld):
             physicsClientId=self._client,
         )
 
-    def _read_body(self) -> BodyState:
-        client = self._client
-        front, (x, y, z, w) = bullet.getBasePositionAndOrientation(self._robot, client)
-        twist = self._joints["twist"]
-        rear = bullet.getLinkState(self._robot, twist, physicsClientId=client)[0]
-        turn = bullet.getJointState(self._robot, twist, client)[0]
+    def _read_body(self) -> None:
+        front, (x, y, z, w) = bullet.getBasePositionAndOrientation(self._robot, self._client)
+        rear, turn = self._body_links[0][0], self._body_joints[0][0]
         roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)) + turn / 2.0
         pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        return BodyState(
+        self._body = BodyState(
             (front[0] + rear[0]) / 2.0,
             (front[1] + rear[1]) / 2.0,
             (front[2] + rear[2]) / 2.0,
@@ -83,16 +81,16 @@ class WalkerWorld(BulletWorld):
             self._falls,
         )
 
-    def _sense_body(self) -> None:
-        walker = self.params.walker
-        body = self._body = self._read_body()
+    def _fell(self) -> bool:
+        walker, body = self.params.walker, self._body
         self._low = self._low + 1 if body.height < walker.fall_height else 0
         if (
-            abs(body.roll) > walker.fall_angle
-            or abs(body.pitch) > walker.fall_angle
-            or self._body_touched
-            or self._low >= self.params.gait.ticks
+            abs(body.roll) <= walker.fall_angle
+            and abs(body.pitch) <= walker.fall_angle
+            and not self._body_touched
+            and self._low < self.params.gait.ticks
         ):
-            self._falls += 1
-            self._start = (body.x, body.y)
-            self._build()
+            return False
+        self._falls += 1
+        self._start = (body.x, body.y)
+        return True
