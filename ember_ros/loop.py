@@ -91,7 +91,7 @@ class Loop:
             leg.copy.acknowledged(push)
 
     def finish(self) -> Table:
-        """Bring what every leg has learnt into the shared table, and return it."""
+        """End the run: bring what every leg has learnt into the shared table, and return it."""
         for leg in self.legs:
             leg.copy.close_epoch(self.now - 1, early=True)
             self._push(leg)

@@ -338,8 +338,14 @@ def _check_together(p: Params) -> None:
         raise ParameterError(
             f"leg.foot_radius = {p.leg.foot_radius} m must be less than leg.shank_length"
         )
-    if not p.trainer.stop_low <= p.trainer.stop_high:
-        raise ParameterError("trainer.stop_low must not be greater than trainer.stop_high")
+    trainer = p.trainer
+    if trainer.modulation > 0.0 and not (
+        trainer.stop_low <= trainer.stop_height <= trainer.stop_high
+    ):
+        raise ParameterError(
+            f"trainer.stop_height = {trainer.stop_height} m must lie in stop_low to stop_high, "
+            f"{trainer.stop_low} to {trainer.stop_high} m, when it is modulated"
+        )
 
 
 def replace(params: Params, changes: Mapping[str, Any]) -> Params:

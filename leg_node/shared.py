@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ember_ros.errors import PushError
-from ember_ros.signals import Pair
+from ember_ros.signals import LEGS, Pair
 from leg_node.table import Floats, Ints, Table
 
 MOST_PENDING = 64
@@ -82,7 +82,7 @@ class SharedTable:
         """Take the pairs of an epoch.
 
         Returns:
-            False if this very push was taken before: nothing changed now.
+            False if this push, or a later one of its run, was taken before: nothing changed now.
 
         Raises:
             PushError: it is malformed; nothing of it is taken.
@@ -169,10 +169,10 @@ class SharedTable:
                 f"{push.cells_sha256[:12]}..., here {self._cells[:12]}...); give the leg and the "
                 "table the same parameter file"
             )
-        if push.leg < 0 or push.epoch < 0 or not push.run:
+        if not 0 <= push.leg < len(LEGS) or push.epoch < 0 or not push.run:
             raise PushError(
-                f"push of leg {push.leg}, run {push.run!r}, epoch {push.epoch}: leg and epoch "
-                "must be 0 or more, and the run must have a name"
+                f"push of leg {push.leg}, run {push.run!r}, epoch {push.epoch}: leg must be 0 to "
+                f"{len(LEGS) - 1}, epoch 0 or more, and the run must have a name"
             )
         for pair in push.pairs:
             if not 0 <= pair.cell < len(self.table):

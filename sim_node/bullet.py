@@ -46,7 +46,7 @@ class _Mount:
     """One leg in Bullet: its indices there, and what its foot went through in this tick."""
 
     __slots__ = (
-        "foot", "force", "hip", "inclination", "knee", "peak", "seen", "slide_x", "slide_y",
+        "foot", "force", "held", "hip", "inclination", "knee", "peak", "seen", "slide_x", "slide_y",
         "strength", "touched", "x", "y",
     )  # fmt: skip
 
@@ -58,6 +58,8 @@ class _Mount:
         self.strength = 0.0
         """The force in that step, N."""
         self.inclination = 0.0
+        self.held: tuple[float, float] | None = None
+        """Where hip and knee are held while the leg gets no command, rad."""
         self.clear()
 
     def clear(self) -> None:
@@ -71,6 +73,9 @@ class BulletWorld(ABC):
 
     Rebuilding (``resetSimulation``, then loading anew) is the only way back to a known state:
     restoring a saved one does not restore Bullet's contact caches, and runs part ways.
+
+    Bullet's joint limits are soft: a knee that is driven against its stop at full speed passes it
+    by up to 0.15 rad for a tick.
     """
 
     legs: tuple[str, ...]
@@ -255,14 +260,21 @@ class BulletWorld(ABC):
     # -- motors ------------------------------------------------------------------------------
 
     def _set_motors(self, commands: Sequence[LegCommand | None]) -> None:
-        leg = self.params.leg
+        leg, tick_s = self.params.leg, self.params.gait.tick_s
         speeds: list[float] = []
         torques: list[float] = []
-        for command in commands:
+        for mount, sense, command in zip(self._mounts, self._senses, commands, strict=True):
             if command is None:
-                speeds += (0.0, 0.0)
+                if mount.held is None:
+                    mount.held = (sense.hip, sense.knee)
+                # Not simply zero speed: under load a motor that wants rest creeps.
+                speeds += (
+                    (mount.held[0] - sense.hip) / tick_s,
+                    (mount.held[1] - sense.knee) / tick_s,
+                )
                 torques += (leg.hip_torque, leg.knee_torque)
             else:
+                mount.held = None
                 speeds += (command.hip_speed, command.knee_speed)
                 torques += (
                     min(leg.hip_torque, command.hip_torque),  # a motor has no more than it has

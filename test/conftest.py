@@ -43,6 +43,8 @@ settings.load_profile("ember")
 
 DEADLINE_S = 60.0
 """Wall time after which a condition is said not to come true. No test that passes waits for it."""
+GOODBYE_S = 5.0
+"""Wall time in which another process' goodbye must have come."""
 DOMAINS = range(1, 101)
 QUIET = 100
 """Callbacks after which an executor has nothing left for a node that was taken from it."""
@@ -163,6 +165,8 @@ class Ros:
         )
         self._executor = EventsExecutor(context=self.context)
         self._nodes: list[Any] = []
+        self.killed: set[str] = set()
+        """Nodes of processes that were killed: nobody said goodbye for them."""
         self.node: Any = self.add(Node("onlooker", context=self.context))
 
     def add(self, node: Any) -> Any:
@@ -242,7 +246,11 @@ class Ros:
         """Destroy all, and hold that nothing is left in the context."""
         self.remove(*self._nodes[:0:-1])
         gc.collect()  # nodes whose constructor raised
-        left = self.alive() - {"/onlooker"}
+        known = {"/onlooker"} | self.killed
+        deadline = time.monotonic() + GOODBYE_S
+        while self.alive() - known and time.monotonic() < deadline:
+            self.spin_once()
+        left = self.alive() - known
         self.remove(self.node)
         self._executor.shutdown()
         self.context.try_shutdown()
@@ -265,6 +273,15 @@ def _ros() -> Iterator[Ros]:
 
 @pytest.fixture
 def ros() -> Iterator[Ros]:
-    """Give a test an rclpy context of its own, in a domain of its own."""
-    with _ros() as ros:
+    """Give a test an rclpy context of its own, in a domain of its own, and processes that domain."""
+    with _ros() as ros, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(ros.domain))
+        yield ros
+
+
+@pytest.fixture(scope="module")
+def ros_of_module() -> Iterator[Ros]:
+    """Give the tests of a module one context in one domain, and processes that domain."""
+    with _ros() as ros, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(ros.domain))
         yield ros

@@ -640,6 +640,21 @@ def test_what_the_table_dropped_is_gone_from_the_copy() -> None:
     assert content(copy.table) == content(Table(STATES, ACTIONS))
 
 
+def test_an_epoch_whose_last_tick_was_missed_is_not_lost() -> None:
+    """A leg that is away when its epoch ends keeps the pairs, over a pull, for its next push."""
+    machine, plain = Machine(1, 4), Table(STATES, ACTIONS)
+    (copy,) = machine.copies
+    for tick in (0, 1, 2, 4, 5, 6, 7, 8, 13):
+        machine.begin(copy, tick)
+        copy.learn(Pair(tick, tick % 2, float(tick)))
+        plain.update(tick % 2, float(tick), FLOOR)
+        assert content(copy.table) == content(plain)
+        machine.end(copy, tick)
+    machine.end(copy, 13, early=True)
+    machine.shared.merge()
+    assert content(machine.shared.table) == content(plain)
+
+
 def test_an_epoch_without_an_answer_is_made_up_for() -> None:
     """A leg that goes on without a pull asks again with the next epoch, and misses nothing."""
     machine, plain = Machine(2, 2), Table(STATES, ACTIONS)

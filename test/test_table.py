@@ -346,6 +346,7 @@ def test_flipped_bit(saved: Path) -> None:
 @pytest.mark.parametrize(
     "content",
     [b"not a table", pickle.dumps({"values": 1}), b"\x93NUMPY", b"PK\x03\x04", bytes(1000), b"{}"],
+    ids=["text", "pickle", "npy", "zip", "zeros", "json"],
 )
 def test_foreign_bytes(tmp_path: Path, content: bytes) -> None:
     """A file of another kind under the right name is refused."""
@@ -408,7 +409,9 @@ def pickled(*, alone: bool) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "content", [pickle.dumps(Bomb()), pickled(alone=True), pickled(alone=False)]
+    "content",
+    [pickle.dumps(Bomb()), pickled(alone=True), pickled(alone=False)],
+    ids=["pickle", "npy", "npz"],
 )
 def test_pickled_content_is_never_run(tmp_path: Path, content: bytes) -> None:
     """A table from a stranger cannot run code: ``allow_pickle`` stays off."""

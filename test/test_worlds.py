@@ -337,6 +337,23 @@ def test_a_foot_that_is_dragged_slips(make: Make, speed: float) -> None:
     assert max(senses[3].slip for senses in dragged) < 1e-4
 
 
+@needs_bullet
+def test_a_foot_that_steps_does_not_slip(make: Make) -> None:
+    """Lifted, swung 0.1 m and put down: its way through the air is no slip, nor is its landing."""
+    world = make("walker", walker__twist_amplitude=0.0, walker__fall_height=0.0)
+    for _ in drive(world, range(16), {}):
+        pass
+    step = [(0.0, 28.0)] * 3 + [(4.0, 0.0)] * 4 + [(0.0, -8.0)] * 12
+    slips, contacts = [], []
+    for tick, speeds in enumerate(step, start=16):
+        for senses in drive(world, range(tick, tick + 1), {LEGS[0]: speeds}):
+            slips.append(senses[0].slip)
+            contacts.append(senses[0].force_mean > 0.0)
+    landed = contacts.index(True, contacts.index(False))
+    assert 3 <= landed < len(step)
+    assert slips[landed] < 0.01
+
+
 def test_the_fake_foot_slips_as_far_as_it_moves_over_the_ground(make: Make) -> None:
     """Slip is the foot's way over the ground: all of it for a leg that is held."""
     world = make("fake")
