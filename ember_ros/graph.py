@@ -5,6 +5,7 @@ Both give the table and the record of the run; both end what they started, whate
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -52,6 +53,11 @@ def node_options(plan: Plan, out: Path | None) -> dict[str, dict[str, Any]]:
         "out": str(out) if out else "",
     }
     return nodes
+
+
+def _ending(name: str) -> int:
+    """Return a node's place in the order of ending, in which nothing learnt is lost."""
+    return {"sim_node": 0, "table_node": 2}.get(name, 1)
 
 
 class Graph:
@@ -127,10 +133,8 @@ class Graph:
 
     def finish(self) -> None:
         """Bring what every leg has learnt into the shared table, and end the record."""
-        for name, node in self.nodes.items():
-            if name != "table_node":
-                node.finish(self.spin_once)
-        self.nodes["table_node"].finish(self.spin_once)
+        for name in sorted(self.nodes, key=_ending):
+            self.nodes[name].finish(self.spin_once)
 
     def close(self) -> None:
         """Destroy all nodes."""
@@ -223,13 +227,12 @@ class Processes:
 
     def stop(self) -> None:
         """Stop all in an order in which nothing learnt is lost: sim, legs, and the table last."""
-        legs = [name for name in self.processes if name.startswith("leg_")]
-        for group in (["sim_node"], [*legs, "cpg_node"], ["table_node"]):
-            started = [name for name in group if name in self.processes]
-            for name in started:
+        for _, group in itertools.groupby(sorted(self.processes, key=_ending), key=_ending):
+            names = list(group)
+            for name in names:
                 if self.processes[name].poll() is None:
                     self.processes[name].send_signal(signal.SIGINT)
-            for name in started:
+            for name in names:
                 self._reap(name)
 
     def _reap(self, name: str) -> None:

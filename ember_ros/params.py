@@ -339,6 +339,11 @@ def _check_together(p: Params) -> None:
             f"leg.foot_radius = {p.leg.foot_radius} m must be less than leg.shank_length"
         )
     trainer = p.trainer
+    if trainer.stop_low > trainer.stop_high:
+        raise ParameterError(
+            f"trainer.stop_low = {trainer.stop_low} m must not be greater than stop_high = "
+            f"{trainer.stop_high} m"
+        )
     if trainer.modulation > 0.0 and not (
         trainer.stop_low <= trainer.stop_height <= trainer.stop_high
     ):

@@ -50,6 +50,18 @@ class Spinnable(Protocol):
         ...
 
 
+def _init(args: list[str] | None) -> None:
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    from ember_ros.errors import ParameterError
+
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rclpy's own error is not public
+        raise ParameterError(f"these ROS arguments cannot be used: {error}") from error
+
+
 class Stop:
     """Whether SIGINT or SIGTERM came."""
 
@@ -83,14 +95,13 @@ def main_of(make: Callable[..., Spinnable], args: list[str] | None = None) -> in
     prepare_environment()
     import rclpy
     from rclpy.experimental.events_executor import EventsExecutor
-    from rclpy.signals import SignalHandlerOptions
 
     from ember_ros.errors import EmberError
 
     with stop_signals() as stop:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node: Spinnable | None = None
         try:
+            _init(args)
             node = make()
             executor = EventsExecutor()
             executor.add_node(node)

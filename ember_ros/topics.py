@@ -58,6 +58,9 @@ VIEW = QoSProfile(
 )
 """For viewers: never holds up the robot."""
 
+HELD = 16
+"""Messages that a subscription holds until they are heard."""
+
 
 class Topic(NamedTuple):
     """A topic's name, message type and quality of service."""
@@ -71,8 +74,17 @@ class Topic(NamedTuple):
         return node.create_publisher(self.type, self.name, self.qos)
 
     def subscribe(self, node: Node, hear: Callable[[bytes], None]) -> Subscription:
-        """Return a new subscription of ``node`` that hears serialized messages."""
-        return node.create_subscription(self.type, self.name, hear, self.qos, raw=True)
+        """Return a new subscription of ``node`` that hears serialized messages.
+
+        It holds more than the latest: a second publisher must not push the first one's out.
+        """
+        qos = QoSProfile(
+            history=self.qos.history,
+            depth=HELD,
+            reliability=self.qos.reliability,
+            durability=self.qos.durability,
+        )
+        return node.create_subscription(self.type, self.name, hear, qos, raw=True)
 
 
 class Service(NamedTuple):

@@ -83,6 +83,7 @@ class LegNode(Node):  # type: ignore[misc]
         # What a tick waits for: an answer of the table. None when it waits for nothing.
         self._waiting: Callable[[], None] | None = None
         self._else: Callable[[], None] | None = None
+        self._held: Callable[[], None] | None = None  # what last waited for a push
         self._deadline = 0.0
         self._table_away = False
         self._pushing: Push | None = None
@@ -127,6 +128,8 @@ class LegNode(Node):  # type: ignore[misc]
             self._put(source, tick, value)
 
     def _put(self, source: str, tick: int, value: Any) -> None:
+        if self.done:
+            return  # what is learnt is being handed in
         last = self._inbox.last
         if not self._inbox.put(source, tick, value):
             if self._inbox.began_anew():
@@ -183,7 +186,7 @@ class LegNode(Node):  # type: ignore[misc]
         if self._table_away:
             self._say(command)
         else:
-            self._wait(lambda: self._say(command))
+            self._held = self._wait(lambda: self._say(command))
 
     def _say(self, command: LegCommand) -> None:
         self._command.publish(self._commands.pack(command))
@@ -210,12 +213,10 @@ class LegNode(Node):  # type: ignore[misc]
             self._refuse(f"the table refused a push: {result.reason}")
         # A push that is refused is dropped: said again, it would be refused again.
         self.module.copy.acknowledged(push)
-        if self._table_away:
-            self._table_away = False
-            self.get_logger().info("the table is back")
+        self._table_is_back()
         if self.module.copy.push_due() is not None:
             self._send_push()
-        elif self._waiting is not None:
+        elif self._held is not None and self._waiting is self._held:
             self._go_on()
 
     def _wait(
@@ -237,9 +238,8 @@ class LegNode(Node):  # type: ignore[misc]
     def _watch_table(self) -> None:
         """Go on alone when the table does not answer; knock again while it is away."""
         if self._waiting is None:
-            if self._table_away and self._push.service_is_ready():
-                self._pushing = None
-                self._send_push()
+            if self._table_away and time.monotonic() > self._deadline:
+                self._knock()
             for tick in self._inbox.later("phase"):  # a first tick that waited for the table
                 if self._waiting is None:
                     self._look(tick)
@@ -256,8 +256,24 @@ class LegNode(Node):  # type: ignore[misc]
             )
             self._go_on()
 
+    def _knock(self) -> None:
+        """Ask a table that did not answer whether it is there, and wait for no reply."""
+        self._deadline = time.monotonic() + TABLE_PATIENCE_S
+        self._pushing = None
+        if self.module.copy.push_due() is not None:
+            self._send_push()
+        else:  # a leg that learns nothing has nothing to push
+            future = self._pull.call_async(wire.write_pull(self.module.copy.version, -1))
+            future.add_done_callback(lambda done: self._table_is_back())
+
+    def _table_is_back(self) -> None:
+        if self._table_away:
+            self._table_away = False
+            self.get_logger().info("the table is back")
+
     def finish(self, spin: Callable[[], None]) -> None:
         """Hand in what was learnt since the last epoch; wait a moment for the table to have it."""
+        self.done = True
         copy = self.module.copy
         copy.close_epoch(self._inbox.last, early=True)
         deadline = time.monotonic() + 2 * TABLE_PATIENCE_S

@@ -52,8 +52,9 @@ class TableNode(Node):  # type: ignore[misc]
         self._journal = Journal(self._save) if self._save else None
         self._born = time.time_ns()  # versions of a later life are greater than all before
         self._generation = 0
-        self._restored = self._take_up()
-        if not self._restored:
+        restored = self._take_up()
+        self._has_past = restored or bool(options["table"])
+        if not restored:
             given = Path(options["table"]) if options["table"] else None
             self.shared = self._share(
                 load_table(given, params)[0] if given else empty_table(params)
@@ -149,7 +150,7 @@ class TableNode(Node):  # type: ignore[misc]
     ) -> GetParameters.Response:
         try:
             since, upto, wanted = wire.read_pull(request)
-            if since is not None and 0 <= since < self._born and not self._restored:
+            if since is not None and 0 <= since < self._born and not self._has_past:
                 raise PushError(
                     f"pull: version {since} is of a table that was here before; this one was "
                     "started without its file, and does not overwrite what the leg knows"

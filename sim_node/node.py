@@ -123,8 +123,8 @@ class SimNode(Node):  # type: ignore[misc]
         if tick == self._tick and self._started:
             self._phase = phase
             self._step_if_complete()
-        elif tick > self._tick:
-            self._refuse(f"cpg/phase: tick {tick} is not yet, now is {self._tick}")
+        elif tick != self._tick:
+            self._refuse(f"cpg/phase: tick {tick} is not now, now is {self._tick}")
 
     def _listener(self, leg: str) -> Callable[[bytes], None]:
         where, reader = f"{leg}/command", wire.CommandWire(leg, self._tick_ns)
@@ -304,7 +304,8 @@ class SimNode(Node):  # type: ignore[misc]
         self._diagnostics.publish(message)
 
     def finish(self, spin: Callable[[], None]) -> None:
-        """End the record."""
+        """Stop stepping and end the record."""
+        self.done, self._started = True, False
         self.recorder.finish(self.world.observe(), self.world.body())
 
     def destroy_node(self) -> None:

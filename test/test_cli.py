@@ -41,6 +41,12 @@ def ember(*words: Any) -> int:
     return end.value.code
 
 
+@pytest.fixture(autouse=True)
+def domain(monkeypatch: pytest.MonkeyPatch, free_domain: int) -> None:
+    """Run every graph in a domain of its own."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain))
+
+
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
     """Return a runner of commands in a folder of its own; it returns all that was printed."""

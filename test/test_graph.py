@@ -196,7 +196,7 @@ def test_a_graph_that_is_stopped_early_keeps_what_was_learnt(ros: Ros) -> None:
 def test_a_fall_is_counted_told_and_credited_to_nobody(
     ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
-    """Each fall is said on ``falls``, sets every leg's restart bit for one tick, and at that tick no leg learns."""
+    """Each fall is said on ``falls`` and sets all restart bits for a tick; then no leg learns."""
     plan = Plan(
         "walker", CYCLES, seed=1, policy="random", params=params(walker__hip_half_width=0.1)
     )
@@ -312,7 +312,7 @@ def disturbed(
     """
     with closing(Graph(BRIEF, context=ros.context)) as graph:
         stranger = Stranger(ros, graph)
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + 20.0
         events = 0
         while not graph.sim.done and time.monotonic() < deadline:
             graph.spin_once(0.001)
@@ -340,7 +340,7 @@ def test_what_a_stranger_says_is_refused_and_counted_and_changes_no_bit(
         return True
 
     ends, said, counted = disturbed(ros, by_graph, say)
-    assert said > 30
+    assert said > 20
     assert ends == by_loop(BRIEF)
     assert counted == {name: said * (name in hearers) for name in counted}
 
@@ -514,7 +514,7 @@ def test_a_leg_that_dies_is_absent_and_one_that_comes_back_is_present(ros: Ros) 
 def test_a_cpg_that_dies_stops_the_world_and_a_new_one_takes_it_on(
     ros: Ros, by_loop: Callable[[Plan], Bits]
 ) -> None:
-    """The world stands still and says so; the new CPG knows the phase from the clock: no bit is lost."""
+    """The world stands still and says so; the new CPG reads the phase off the clock, to the bit."""
     robot = Robot(ros, walk(), sim_node={"patience": 0.2})
     diagnostics = ros.messages(topics.DIAGNOSTICS)
     robot.walk_to(40)
@@ -614,9 +614,7 @@ def test_a_leg_in_a_new_life_lays_no_pair_twice() -> None:
     """After time began anew a pull takes away what is merged, not what was pushed first."""
     table, sha = empty_table(Params()), "cells"
     shared = SharedTable(table, cells=sha, floor=0.1)
-    copy = LocalCopy(
-        empty_table(Params()), leg=0, run="one", cells=sha, floor=0.1, sync_every=32
-    )
+    copy = LocalCopy(empty_table(Params()), leg=0, run="one", cells=sha, floor=0.1, sync_every=32)
 
     def epoch(first: int, last: int) -> None:
         upto = copy.pull_due(first)
@@ -658,7 +656,7 @@ def test_learning_is_switched_off_for_the_whole_robot(ros: Ros) -> None:
 
 
 def test_in_real_time_nobody_is_waited_for(ros: Ros) -> None:
-    """A leg that is gone stops nothing, the world is never faster than the wall, and all is said."""
+    """A leg that is gone stops nothing and is named; the world is never faster than the wall."""
     plan = dataclasses.replace(walk(), params=params(gait__period=0.1))
     began = time.monotonic()
     robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000, "patience": 1000.0})

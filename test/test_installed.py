@@ -113,8 +113,10 @@ def test_nodes_walk_as_one_robot_and_stop_with_a_signal(
         clock = ros.messages(topics.CLOCK._replace(name=f"{namespace}/clock"), matched=False)
         names = {f"/{namespace}/{name}" for name in NODES}
         ros.spin_until(
-            lambda: (len(clock) > 20 and names <= ros.alive())
-            or any(process.poll() is not None for process in running.values()),
+            lambda: (
+                (len(clock) > 20 and names <= ros.alive())
+                or any(process.poll() is not None for process in running.values())
+            ),
             "the robot walks",
         )
         for name in ("sim_node", "leg_node", "cpg_node", "table_node"):

@@ -276,27 +276,37 @@ def test_malformed_commands_are_refused(change: Change, names: str) -> None:
         wired.read(changed(wired.pack(LegCommand(3, 1.0, 2.0, 3.0, 4.0)), change))
 
 
+def with_one(signal: Any, name: str, value: Any) -> Any:
+    """Return a sense or a command with one field changed to anything."""
+    return signal._replace(**{name: value})
+
+
 @given(senses, commands, st.integers(0, 3), not_finite)
 def test_our_own_layout_does_not_let_bad_numbers_pass(
     sense: LegSense, command: LegCommand, field: int, bad: float
 ) -> None:
     """The quick way, taken for bytes laid out as our own, refuses what the slow one refuses."""
     senses_wire, commands_wire = wire.SenseWire("leg", TICK_NS), wire.CommandWire("leg", TICK_NS)
-    hurt = ("hip", "knee", "hip_speed", "knee_speed")[field]
-    with pytest.raises(SignalError, match="^leg/joint_states: .*(position|velocity)"):
-        senses_wire.read_joints(senses_wire.pack(sense._replace(**{hurt: bad}))[0])
-    hurt = ("slip", "inclination", "force_mean", "force_peak")[field]
-    with pytest.raises(SignalError, match="^leg/contact: .*(position|effort)"):
-        senses_wire.read_contact(senses_wire.pack(sense._replace(**{hurt: bad}))[1])
-    with pytest.raises(SignalError, match="^leg/contact: (hair|touch|restart) is 2"):
-        hurt = ("hair", "contact", "restart")[field % 3]
-        senses_wire.read_contact(senses_wire.pack(sense._replace(**{hurt: 2}))[1])
-    hurt = ("hip_speed", "knee_speed", "hip_torque", "knee_torque")[field]
-    with pytest.raises(SignalError, match="^leg/command: .*(velocity|effort)"):
-        commands_wire.read(commands_wire.pack(command._replace(**{hurt: bad})))
-    hurt = ("hip_torque", "knee_torque")[field % 2]
-    with pytest.raises(SignalError, match="^leg/command: torque"):
-        commands_wire.read(commands_wire.pack(command._replace(**{hurt: -TINY})))
+    name = ("hip", "knee", "hip_speed", "knee_speed")[field]
+    joints, _ = senses_wire.pack(with_one(sense, name, bad))
+    with pytest.raises(SignalError, match=r"^leg/joint_states: .*(position|velocity)"):
+        senses_wire.read_joints(joints)
+    name = ("slip", "inclination", "force_mean", "force_peak")[field]
+    _, contact = senses_wire.pack(with_one(sense, name, bad))
+    with pytest.raises(SignalError, match=r"^leg/contact: .*(position|effort)"):
+        senses_wire.read_contact(contact)
+    name = ("hair", "contact", "restart")[field % 3]
+    _, contact = senses_wire.pack(with_one(sense, name, 2))
+    with pytest.raises(SignalError, match=r"^leg/contact: (hair|touch|restart) is 2"):
+        senses_wire.read_contact(contact)
+    name = ("hip_speed", "knee_speed", "hip_torque", "knee_torque")[field]
+    order = commands_wire.pack(with_one(command, name, bad))
+    with pytest.raises(SignalError, match=r"^leg/command: .*(velocity|effort)"):
+        commands_wire.read(order)
+    name = ("hip_torque", "knee_torque")[field % 2]
+    order = commands_wire.pack(with_one(command, name, -TINY))
+    with pytest.raises(SignalError, match=r"^leg/command: torque"):
+        commands_wire.read(order)
 
 
 @pytest.mark.parametrize(
@@ -305,13 +315,13 @@ def test_our_own_layout_does_not_let_bad_numbers_pass(
 def test_what_is_no_phase_is_refused(phase: float) -> None:
     """Not finite, negative, between ticks, or too large to name a tick."""
     for data in (wire.pack_phase(phase), serialize_message(Float64(data=phase))):
-        with pytest.raises(SignalError, match="^cpg/phase: .* is no phase"):
+        with pytest.raises(SignalError, match=r"^cpg/phase: .* is no phase"):
             wire.read_phase(data, TICKS, "cpg/phase")
 
 
 def test_a_clock_before_the_start_is_refused() -> None:
     """Time begins at 0."""
-    with pytest.raises(SignalError, match="^clock: -1 s is before the start"):
+    with pytest.raises(SignalError, match=r"^clock: -1 s is before the start"):
         wire.read_clock(wire.pack_clock(-1), "clock")
 
 
@@ -402,7 +412,7 @@ def test_a_push_of_unequal_lengths_is_refused(name: str) -> None:
         value.double_array_value = array("d", [0.0])
     else:
         value.integer_array_value = array("q", [1, 2, 3])
-    with pytest.raises(PushError, match="^push: tick, cell and target have"):
+    with pytest.raises(PushError, match=r"^push: tick, cell and target have"):
         wire.read_push(request)
 
 
@@ -500,7 +510,7 @@ def test_a_pull_of_something_unknown_is_refused(name: str) -> None:
 @pytest.mark.parametrize("name", [f"since={2**63}", f"upto={2**63}", f"since=-{2**63 + 1}"])
 def test_a_pull_with_a_bound_that_is_no_64_bit_integer_is_refused(name: str) -> None:
     """A bound that no version or epoch can have is refused, not passed on to raise elsewhere."""
-    with pytest.raises(PushError, match="^pull: "):
+    with pytest.raises(PushError, match=r"^pull: "):
         wire.read_pull(GetParameters.Request(names=[name, "version"]))
 
 
@@ -516,11 +526,11 @@ def test_signals_have_no_field_that_wire_forgets() -> None:
     senses_wire, commands_wire = wire.SenseWire("leg", TICK_NS), wire.CommandWire("leg", TICK_NS)
     packed = {senses_wire.pack(sense)}
     for field in sense._fields:
-        packed.add(senses_wire.pack(sense._replace(**{field: 1 - getattr(sense, field)})))
+        packed.add(senses_wire.pack(with_one(sense, field, 1 - getattr(sense, field))))
     assert len(packed) == 1 + len(sense._fields)
     orders = {commands_wire.pack(command)}
     for field in command._fields:
-        orders.add(commands_wire.pack(command._replace(**{field: getattr(command, field) + 1})))
+        orders.add(commands_wire.pack(with_one(command, field, getattr(command, field) + 1)))
     assert len(orders) == 1 + len(command._fields)
 
 
