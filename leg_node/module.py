@@ -73,6 +73,8 @@ class LegModule:
         self.leg = leg
         self.position = LEGS.index(leg) if leg in LEGS else 0
         self.learning = learning
+        self.shared = shared and (learning or policy == "learned")
+        """Whether this leg has anything to do with the shared table."""
         self._params = params
         numbers: Learning = params.train if stage == "train" else params.walk
         self._gamma = numbers.gamma
@@ -85,7 +87,7 @@ class LegModule:
             run=run,
             cells=cells_sha256(params),
             floor=numbers.alpha_floor,
-            sync_every=numbers.sync_every if shared else 0,
+            sync_every=numbers.sync_every if self.shared else 0,
         )
         self._reading: Reading = PlainReading(self.copy.table)
         if numbers.smooth > 0.0:

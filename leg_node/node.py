@@ -33,7 +33,8 @@ class LegNode(Node):  # type: ignore[misc]
     Subscribes: ``<leg>/joint_states``, ``<leg>/contact`` (sensor_msgs/JointState), ``cpg/phase``
     (std_msgs/Float64).
     Publishes: ``<leg>/command`` (sensor_msgs/JointState).
-    Calls: ``table/push``, ``table/pull``, unless ``shared`` is false.
+    Calls: ``table/push``, ``table/pull``, unless ``shared`` is false or it has no use for a table
+    (another policy than ``learned``, and ``learning`` false).
     Parameters: ``gait.*``, ``leg.*``, ``state.*``, ``reward.*``, ``train.*``, ``walk.*``; ``leg``,
     ``stage``, ``seed``, ``policy``, ``learning``, ``shared``; ``table`` and ``save`` for a leg
     that does not share.
@@ -54,7 +55,7 @@ class LegNode(Node):  # type: ignore[misc]
             self,
             ("leg", "stage", "seed", "policy", "learning", "shared", "table", "save"),
         )
-        self._shared = shared = options["shared"]
+        shared = options["shared"]
         if shared and (options["table"] or options["save"]):
             raise ParameterError(
                 "a leg that shares its table neither loads nor saves one: give table and save to "
@@ -92,7 +93,7 @@ class LegNode(Node):  # type: ignore[misc]
         topics.joint_states(leg).subscribe(self, self._hear_joints)
         topics.contact(leg).subscribe(self, self._hear_contact)
         topics.PHASE.subscribe(self, self._hear_phase)
-        if shared:
+        if self.module.shared:
             self._push = topics.PUSH.call(self)
             self._pull = topics.PULL.call(self)
             self.create_timer(TABLE_PATIENCE_S / 4, self._watch_table)
@@ -143,7 +144,11 @@ class LegNode(Node):  # type: ignore[misc]
 
     def _look(self, tick: int) -> None:
         """Begin a tick if all of it is there, and the table was met."""
-        if self._shared and self.module.copy.version is None and not self._pull.service_is_ready():
+        if (
+            self.module.shared
+            and self.module.copy.version is None
+            and not self._pull.service_is_ready()
+        ):
             return  # a leg does not start from nothing while the table is still starting
         values = self._inbox.take(tick)
         if values is not None:
