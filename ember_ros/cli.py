@@ -117,27 +117,27 @@ def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
 @main.command()
 @_options(cycles=6000, out="out/train", way="loop")
 def train(**options: Any) -> None:
-    r"""Train one leg on the cantilever trainer.
+    """Train one leg on the cantilever trainer.
 
     \b
     ember train                              6000 steps, about half a minute
     ember train --seed 3 --out out/seed3     another one
     ember walk --table out/train/table.npz   let four such legs walk
-    """
+    """  # noqa: D301  click reads the backspace as: keep these lines as they are
     _run("trainer", **options)
 
 
 @main.command()
 @_options(cycles=300, out="out/walk", way="graph")
 def walk(**options: Any) -> None:
-    r"""Let four legs carry a body, still learning.
+    """Let four legs carry a body, still learning.
 
     \b
     ember walk --table out/train/table.npz   legs that a trainer has taught
     ember walk                               legs that know nothing yet
     ember walk --policy scripted             a knee written by hand
     ember walk --on processes --table ...    seven processes
-    """
+    """  # noqa: D301  click reads the backspace as: keep these lines as they are
     _run("walker", **options)
 
 
@@ -266,7 +266,7 @@ def _grid(summaries: dict[str, dict[str, Any]]) -> Grid:
     help="Folder for both runs and demo.png; an earlier demo there is replaced.",
 )
 def demo(cycles: int, walk_cycles: int, seed: int, params_file: Path | None, out: Path) -> None:
-    """Train a leg, attach four to a body, walk on the ROS graph, draw it all.
+    """Train a leg, walk on four on the graph, draw it all.
 
     The leg learns alone with the direct loop; then four nodes with its table carry the body on a
     live graph, and go on learning.
@@ -359,13 +359,13 @@ def experiment(name: str, seeds: int, cycles: int, walk_cycles: int, out: Path) 
 @main.command("params")
 @click.option("--describe", is_flag=True, help="Say unit, range and meaning instead of YAML.")
 def params_command(describe: bool) -> None:
-    r"""Print every parameter, as a file to edit or as a list to read.
+    """Print every parameter, as a file to edit or as a list to read.
 
     \b
     ember params > mine.yaml
     ember walk --params mine.yaml
     ros2 run ember_ros sim_node --ros-args --params-file mine.yaml
-    """
+    """  # noqa: D301  click reads the backspace as: keep these lines as they are
     if not describe:
         click.echo(dump_params(Params()), nl=False)
         return
