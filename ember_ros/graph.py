@@ -92,7 +92,15 @@ class Graph:
         self._own_context = context is None
         if context is None:
             context = rclpy.Context()
-            rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+            rclpy.init(
+                context=context,
+                args=[
+                    "--ros-args",
+                    "--log-level",
+                    "warn",
+                ],  # a progress bar stands on this terminal
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
         self._context = context
         self._executor = EventsExecutor(context=context)
         makers = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}

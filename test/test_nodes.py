@@ -27,7 +27,7 @@ from ember_ros.ros_params import OPTIONS
 from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Pair, Phase
 from leg_node.module import LegModule
 from leg_node.node import LegNode
-from leg_node.shared import Push
+from leg_node.shared import Push, SharedTable
 from leg_node.table import empty_table, load_table, save_table
 from leg_node.table_node import TableNode
 from sim_node.node import SimNode
@@ -147,6 +147,14 @@ def test_a_leg_that_does_not_share_calls_nobody(ros: Ros) -> None:
     node = make(ros, LegNode, shared=False)
     assert not live(ros, "client", node)
     assert len(live(ros, "subscriber", node)) == 3
+
+
+def test_a_leg_that_has_no_use_for_a_table_calls_nobody(ros: Ros) -> None:
+    """A scripted leg that does not learn needs no table node; one that learns does."""
+    idle = make(ros, LegNode, "/a", policy="scripted", learning=False)
+    assert not live(ros, "client", idle)
+    busy = make(ros, LegNode, "/b", policy="scripted", learning=True)
+    assert len(live(ros, "client", busy)) == 2
 
 
 def test_a_cpg_node_hears_the_clock_and_says_the_phase(ros: Ros) -> None:
@@ -472,6 +480,36 @@ def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: Tape) -> N
     assert (commands, node.module.copy.table.sha256()) == alone("front_left", tape)
 
 
+def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: Tape) -> None:
+    """While ``table/push`` is not served yet its first push would be lost: it waits for both."""
+    shared = SharedTable(empty_table(Params()), cells=cells_sha256(Params()), floor=0.1)
+    pulls: list[Any] = []
+
+    def pull(
+        request: GetParameters.Request, response: GetParameters.Response
+    ) -> GetParameters.Response:
+        pulls.append(request)
+        since, upto, wanted = wire.read_pull(request)
+        response.values = wire.answer_pull(wanted, shared.pull(since, upto), str)
+        return response
+
+    make(ros, LegNode, leg="rear_left")
+    topics.PULL.serve(ros.node, pull)
+    answers = ros.messages(topics.command("rear_left"), raw=True)
+    phase, senses = tape.ticks[0]
+    joints, contact = wire.SenseWire("rear_left", TICK_NS).pack(senses[2])
+    ros.publisher(topics.joint_states("rear_left")).publish(joints)
+    ros.publisher(topics.contact("rear_left")).publish(contact)
+    ros.publisher(topics.PHASE).publish(wire.pack_phase(phase))
+    for _ in range(40):
+        ros.spin_once()
+    assert not pulls
+    assert not answers
+    topics.PUSH.serve(ros.node, lambda request, response: response)
+    ros.spin_until(lambda: answers, "the first command")
+    assert len(pulls) == 1
+
+
 # -- the table's services ----------------------------------------------------------------------
 
 
@@ -711,6 +749,31 @@ def test_saving_changes_nothing_of_what_is_learnt_after(ros: Ros, tmp_path: Path
         tables.add(node.shared.table.sha256())
         node.finish(lambda: None)
         ros.remove(node)
+    assert len(tables) == 1
+
+
+def test_what_was_acknowledged_outlives_the_node(ros: Ros, tmp_path: Path) -> None:
+    """A node that ends without a word leaves all pushes to the next one, which knows them again."""
+    pushes = [GOOD._replace(epoch=epoch, leg=leg) for epoch in range(3) for leg in range(4)]
+    tables = set()
+    for cut in (None, 0, 5, 11):
+        options = {"save": str(tmp_path / f"table_{cut}.npz")}
+        node = make(ros, TableNode, **options)
+        push, pull = ros.client(topics.PUSH), ros.client(topics.PULL)
+        for n, each in enumerate(pushes):
+            assert ros.call(push, wire.write_push(each)).result.reason == ""
+            if n == 5:
+                ros.call(pull, wire.write_pull(None, 0))  # some are merged, some are not
+            if n == cut:
+                ros.remove(node)
+                node = make(ros, TableNode, **options)
+                assert ros.call(push, wire.write_push(each)).result.successful
+                assert "taken before" in ros.call(push, wire.write_push(each)).result.reason
+        ros.call(pull, wire.write_pull(None, 2))
+        tables.add(node.shared.table.sha256())
+        node.finish(lambda: None)
+        ros.remove(node)
+        assert [file.name for file in tmp_path.glob(f"table_{cut}*")] == [f"table_{cut}.npz"]
     assert len(tables) == 1
 
 

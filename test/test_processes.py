@@ -189,7 +189,17 @@ class Fleet:
             for name in alive:
                 self.processes[name].send_signal(signal.SIGINT)
             for name in alive:
-                self.ended.append((name, self.processes[name].wait(STOP_S)))
+                self.ended.append((name, self._end(name)))
+
+    def _end(self, name: str) -> int:
+        """Return how a process ended; if it did not, let it say in its log where it hangs."""
+        process = self.processes[name]
+        try:
+            return process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGABRT)  # rclpy has faulthandler print where it is
+            process.wait()
+            raise AssertionError(f"{name} does not stop: {self.log(name).read_text()}") from None
 
     def kill_all(self) -> None:
         """Leave nothing behind, whatever went wrong."""
