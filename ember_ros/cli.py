@@ -20,7 +20,7 @@ from ember_ros.errors import EmberError, ParameterError
 from ember_ros.params import SPECS, Params
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.plan import Plan
-from ember_ros.run import SUMMARY, TABLE, WAYS, GoOn, run
+from ember_ros.run import PICTURE, SUMMARY, TABLE, WAYS, GoOn, run
 from ember_ros.spinning import Stop, stop_signals
 
 INTERRUPTED = 130  # the shell's code for an end by Ctrl-C
@@ -171,9 +171,11 @@ def _run(
         )
     with stop_signals() as stop:
         record, summary = _show(plan, way, out, stop)
-        _draw(out / "run.png", plan, **{"trained" if world == "trainer" else "walked": record})
-    console.print(_grid({"walked" if world == "walker" else "trained": summary}))
-    console.print(f"In {out}: table.npz, cycles.csv, summary.json, run.png")
+        what = "trained" if world == "trainer" else "walked"
+        drawn = _draw(out / PICTURE, plan, **{what: record})
+    console.print(_grid({what: summary}))
+    picture = f", {PICTURE}" if drawn else "; no whole cycle to draw"
+    console.print(f"In {out}: {TABLE}, cycles.csv, {SUMMARY}{picture}")
     if not summary["complete"]:
         _end_early(summary, out)
 
@@ -185,10 +187,10 @@ def _show(plan: Plan, way: str, out: Path, stop: Stop) -> tuple[Any, dict[str, A
         return run(plan, way, out, go_on, shlex.join(["ember", *sys.argv[1:]]))
 
 
-def _draw(file: Path, plan: Plan, **records: Any) -> None:
+def _draw(file: Path, plan: Plan, **records: Any) -> bool:
     from ember_ros.report import figures
 
-    figures.draw(file, ticks=plan.params.gait.ticks, **records)
+    return figures.draw(file, ticks=plan.params.gait.ticks, **records)
 
 
 def _end_early(summary: dict[str, Any], out: Path) -> None:
@@ -236,6 +238,7 @@ def _grid(summaries: dict[str, dict[str, Any]]) -> Grid:
     lines: list[tuple[str, Callable[[dict[str, Any]], str]]] = [
         ("cycles", lambda s: str(s["cycles"])),
         ("falls", lambda s: "-" if s["world"] == "trainer" else str(s["falls"])),
+        ("first and last mean cycles", lambda s: str(s["first"]["cycles"])),
         ("distance a cycle, first, m", lambda s: _number(s["first"]["distance_per_cycle_m"])),
         ("distance a cycle, last, m", lambda s: _number(s["last"]["distance_per_cycle_m"])),
         ("stance contact, last", lambda s: _number(s["last"]["contact_share"], ".0%")),
@@ -274,15 +277,19 @@ def demo(cycles: int, walk_cycles: int, seed: int, params_file: Path | None, out
     params = load_params(params_file) if params_file else Params()
     training = Plan("trainer", cycles, seed=seed, params=params)
     walking = Plan("walker", walk_cycles, seed=seed, params=params, table=out / "train" / TABLE)
+    for stale in (out / "demo.png", out / "walk" / SUMMARY, out / "walk" / TABLE):
+        stale.unlink(missing_ok=True)  # of an earlier demo with another table
     with stop_signals() as stop:
         trained, first = _show(training, "loop", out / "train", stop)
         summaries, records = {"one leg, trainer": first}, {"trained": trained}
         if not stop.asked:
             walked, second = _show(walking, "graph", out / "walk", stop)
             summaries["four legs, body"], records["walked"] = second, walked
-        _draw(out / "demo.png", training, **records)
+        drawn = _draw(out / "demo.png", training, **records)
     console.print(_grid(summaries))
-    console.print(f"The picture is {out / 'demo.png'}; the runs are in {out}/train and {out}/walk.")
+    picture = "demo.png" if drawn else "no whole cycle to draw"
+    runs = " and ".join(["train", "walk"][: len(summaries)])
+    console.print(f"In {out}: {picture}, and the runs in {runs}")
     last = list(summaries.values())[-1]
     if stop.asked:
         _end_early(last, out / ("walk" if len(summaries) > 1 else "train"))

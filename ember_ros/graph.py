@@ -27,8 +27,12 @@ STOP_S = 5.0
 """Wall time a process may take to stop before it is killed."""
 
 
-def node_options(plan: Plan, out: Path | None) -> dict[str, dict[str, Any]]:
+def node_options(
+    plan: Plan, out: Path | None = None, patience: float | None = None
+) -> dict[str, dict[str, Any]]:
     """Return the options of every node of a plan, by the node's name; ``leg_<leg>`` for legs."""
+    waits = {} if patience is None else {"patience": patience}
+    table_waits = {} if patience is None else {"table_patience": patience / 2}
     nodes: dict[str, dict[str, Any]] = {
         "table_node": {
             "stage": plan.stage,
@@ -45,12 +49,14 @@ def node_options(plan: Plan, out: Path | None) -> dict[str, dict[str, Any]]:
             "seed": plan.seed,
             "policy": plan.policy,
             "learning": plan.learning,
+            **table_waits,
         }
     nodes["sim_node"] = {
         "world": plan.world,
         "cycles": plan.cycles,
         "seed": plan.seed,
         "out": str(out) if out else "",
+        **waits,
     }
     return nodes
 
@@ -64,7 +70,13 @@ class Graph:
     """All nodes of a plan in this process, on one executor."""
 
     def __init__(
-        self, plan: Plan, out: Path | None = None, *, namespace: str = "", context: Any = None
+        self,
+        plan: Plan,
+        out: Path | None = None,
+        *,
+        namespace: str = "",
+        patience: float | None = None,
+        context: Any = None,
     ) -> None:
         """Make the nodes; nothing runs before ``run``.
 
@@ -72,6 +84,7 @@ class Graph:
             plan: what to run.
             out: folder for the record and the table; nowhere for None.
             namespace: of all nodes: another one is another robot.
+            patience: wall seconds to wait for anybody; each node's own default for None.
             context: an initialised rclpy context; one of its own for None.
 
         Raises:
@@ -105,7 +118,7 @@ class Graph:
         self._executor = EventsExecutor(context=context)
         makers = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
         try:
-            for name, options in node_options(plan, out).items():
+            for name, options in node_options(plan, out, patience).items():
                 make = makers.get(name, LegNode)
                 given = {
                     f"{group}.{field}": value
@@ -168,13 +181,16 @@ LEG_MODULE = "leg_node.node"
 class Processes:
     """Each node of a plan in a process of its own, as seven ``ros2 run`` would start them."""
 
-    def __init__(self, plan: Plan, out: Path, *, namespace: str = "") -> None:
+    def __init__(
+        self, plan: Plan, out: Path, *, namespace: str = "", patience: float | None = None
+    ) -> None:
         """Start the processes.
 
         Args:
             plan: what to run.
             out: folder for the record, the table, the parameters, and a log a node in ``log``.
             namespace: of all nodes.
+            patience: wall seconds to wait for anybody; each node's own default for None.
         """
         prepare_environment()
         self.out = out
@@ -182,7 +198,7 @@ class Processes:
         self._logs.mkdir(parents=True, exist_ok=True)
         params = out / "params.yaml"
         params.write_text(dump_params(plan.params), encoding="utf-8")
-        nodes = node_options(plan, out)
+        nodes = node_options(plan, out, patience)
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         try:
             for name, options in nodes.items():
@@ -253,9 +269,11 @@ class Processes:
 
 
 @contextmanager
-def processes(plan: Plan, out: Path, *, namespace: str = "") -> Iterator[Processes]:
+def processes(
+    plan: Plan, out: Path, *, namespace: str = "", patience: float | None = None
+) -> Iterator[Processes]:
     """Run a plan as processes for as long as the block lasts."""
-    running = Processes(plan, out, namespace=namespace)
+    running = Processes(plan, out, namespace=namespace, patience=patience)
     try:
         yield running
     finally:

@@ -33,6 +33,7 @@ OPTIONS = {
     "gui": Option(False, "show Bullet's window"),
     "cycles": Option(-1, "cycles to run; -1: until stopped"),
     "patience": Option(1.0, "wall seconds to wait for a leg, s"),
+    "table_patience": Option(0.4, "wall seconds a leg waits for the table, s"),
     "out": Option("", "folder for the record of the run; '' for none"),
     "seed": Option(0, "seed of the run; each drawer has its own generator"),
     "leg": Option("", "the leg that this node is", ()),
@@ -114,7 +115,7 @@ def declare_options(node: Node, names: Sequence[str], **defaults: Any) -> dict[s
             )
         if option.choices and value not in option.choices:
             raise ParameterError(f"{name} = {value!r} must be one of {', '.join(option.choices)}")
-        least = {"cycles": -1, "seed": 0, "patience": 0}.get(name)
+        least = {"cycles": -1, "seed": 0, "patience": 0, "table_patience": 0}.get(name)
         if least is not None and not value >= least:  # NaN is not
             raise ParameterError(f"{name} = {value!r} must be {least} or more: {option.doc}")
         _set(node, name, value, ParameterDescriptor(description=option.doc, read_only=True))

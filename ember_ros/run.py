@@ -23,12 +23,22 @@ import ember_ros
 from ember_ros.errors import EmberError, ParameterError
 from ember_ros.params import params_sha256
 from ember_ros.plan import Plan
-from ember_ros.report.recorder import BODY, CYCLES, Record, Recorder, load_record
+from ember_ros.report.recorder import (
+    BODY,
+    CYCLES,
+    MEASURED,
+    TRACES,
+    Record,
+    Recorder,
+    load_record,
+)
 from leg_node.journal import ENDINGS
 from leg_node.table import load_table, save_table
 
 WAYS = ("loop", "graph", "processes")
-TABLE, SUMMARY = "table.npz", "summary.json"
+TABLE, SUMMARY, PICTURE = "table.npz", "summary.json", "run.png"
+PATIENCE_S = 60.0
+"""Wall time that a run started here waits for anybody: a busy machine must not change its bits."""
 
 GoOn = Callable[[int, int], bool]
 """Told now and then of cycles done and falls; says whether to go on."""
@@ -60,11 +70,10 @@ def run(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ParameterError(f"cannot make the folder {out}: {error.strerror}") from error
-    for name in (
-        SUMMARY,
-        CYCLES,
-        *(TABLE + ending for ending in ENDINGS),
-    ):  # the summary is there when all is done
+    old = [SUMMARY, CYCLES, MEASURED, TRACES, PICTURE, *(TABLE + ending for ending in ENDINGS)]
+    if plan.table is None:
+        old.append(TABLE)  # or the table node would go on from it
+    for name in old:
         (out / name).unlink(missing_ok=True)
     {"loop": _loop, "graph": _graph, "processes": _processes}[way](plan, out, go_on)
     record = load_record(out)
@@ -119,7 +128,7 @@ def _graph(plan: Plan, out: Path, go_on: GoOn) -> None:
     try:
         from ember_ros.graph import Graph
 
-        graph = Graph(plan, out)
+        graph = Graph(plan, out, patience=PATIENCE_S)
     except ModuleNotFoundError as error:
         raise _no_ros(error) from error
     try:
@@ -137,7 +146,7 @@ def _processes(plan: Plan, out: Path, go_on: GoOn) -> None:
     except ModuleNotFoundError as error:
         raise _no_ros(error) from error
     tally = _Tally(out / CYCLES)
-    with processes(plan, out) as running:
+    with processes(plan, out, patience=PATIENCE_S) as running:
         running.wait(lambda: go_on(*tally.read()))
 
 

@@ -44,6 +44,8 @@ class LegModule:
         shared: bool = True,
         table: Table | None = None,
         run: str = "run",
+        partition: Partition | None = None,
+        rewarder: Rewarder | None = None,
     ) -> None:
         """Make a leg.
 
@@ -57,6 +59,8 @@ class LegModule:
             shared: whether the table is shared with other legs, or this leg's own.
             table: what was learnt before, owned by this leg from now on; empty for None.
             run: names this life of the leg for the shared table.
+            partition: of the state; the paper's for None.
+            rewarder: what a tick is worth; the paper's for None.
 
         Raises:
             ParameterError: no such leg, stage or policy.
@@ -79,8 +83,8 @@ class LegModule:
         numbers: Learning = params.train if stage == "train" else params.walk
         self._gamma = numbers.gamma
         self._gait = LegGait(params.gait, leg)
-        self._partition = Partition(params)
-        self._rewarder = Rewarder(params)
+        self._partition = partition or Partition(params)
+        self._rewarder = rewarder or Rewarder(params)
         self.copy = LocalCopy(
             table if table is not None else empty_table(params),
             leg=self.position,

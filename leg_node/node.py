@@ -22,9 +22,9 @@ from leg_node.module import LegModule
 from leg_node.shared import Push
 from leg_node.table import load_table, save_table
 
-TABLE_PATIENCE_S = 0.4
-"""Wall time a leg waits for the table before it goes on without: less than a world waits for it."""
+WATCH_S = 0.1  # wall time between looks at whether the table answers
 LOG_EVERY_S = 5.0
+FINISH_S = 1.0  # wall time a leg that ends waits for the table to take what it learnt last
 
 
 class LegNode(Node):  # type: ignore[misc]
@@ -36,8 +36,8 @@ class LegNode(Node):  # type: ignore[misc]
     Calls: ``table/push``, ``table/pull``, unless ``shared`` is false or it has no use for a table
     (another policy than ``learned``, and ``learning`` false).
     Parameters: ``gait.*``, ``leg.*``, ``state.*``, ``reward.*``, ``train.*``, ``walk.*``; ``leg``,
-    ``stage``, ``seed``, ``policy``, ``learning``, ``shared``; ``table`` and ``save`` for a leg
-    that does not share.
+    ``stage``, ``seed``, ``policy``, ``learning``, ``shared``, ``table_patience``; ``table`` and
+    ``save`` for a leg that does not share.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -53,8 +53,12 @@ class LegNode(Node):  # type: ignore[misc]
         params = declare_params(self, ("gait", "leg", "state", "reward", "train", "walk"))
         options = declare_options(
             self,
-            ("leg", "stage", "seed", "policy", "learning", "shared", "table", "save"),
-        )
+            (
+                "leg", "stage", "seed", "policy", "learning", "shared", "table", "save",
+                "table_patience",
+            ),
+        )  # fmt: skip
+        self._patience = options["table_patience"]  # less than a world waits for a leg
         shared = options["shared"]
         if shared and (options["table"] or options["save"]):
             raise ParameterError(
@@ -96,7 +100,7 @@ class LegNode(Node):  # type: ignore[misc]
         if self.module.shared:
             self._push = topics.PUSH.call(self)
             self._pull = topics.PULL.call(self)
-            self.create_timer(TABLE_PATIENCE_S / 4, self._watch_table)
+            self.create_timer(WATCH_S, self._watch_table)
 
     # -- hearing -----------------------------------------------------------------------------
 
@@ -147,13 +151,16 @@ class LegNode(Node):  # type: ignore[misc]
         if (
             self.module.shared
             and self.module.copy.version is None
-            and not self._pull.service_is_ready()
+            and not self._table_is_there()
         ):
             return  # a leg does not start from nothing while the table is still starting
         values = self._inbox.take(tick)
         if values is not None:
             joints, contact, phase = values
             self._begin(self._senses.sense(tick, joints, contact), phase)
+
+    def _table_is_there(self) -> bool:
+        return bool(self._pull.service_is_ready() and self._push.service_is_ready())
 
     # -- one tick ----------------------------------------------------------------------------
 
@@ -232,7 +239,7 @@ class LegNode(Node):  # type: ignore[misc]
         ``else_`` is done when the table does not answer in time; going on without it for None.
         """
         self._waiting, self._else = then, else_
-        self._deadline = time.monotonic() + TABLE_PATIENCE_S
+        self._deadline = time.monotonic() + self._patience
         return then
 
     def _go_on(self) -> None:
@@ -256,14 +263,14 @@ class LegNode(Node):  # type: ignore[misc]
             self._table_away = True
             self._pushing = None
             self.get_logger().warning(
-                f"the table does not answer within {TABLE_PATIENCE_S} s: "
+                f"the table does not answer within {self._patience} s: "
                 "going on alone, keeping what is learnt for it"
             )
             self._go_on()
 
     def _knock(self) -> None:
         """Ask a table that did not answer whether it is there, and wait for no reply."""
-        self._deadline = time.monotonic() + TABLE_PATIENCE_S
+        self._deadline = time.monotonic() + self._patience
         self._pushing = None
         if self.module.copy.push_due() is not None:
             self._send_push()
@@ -281,7 +288,7 @@ class LegNode(Node):  # type: ignore[misc]
         self.done = True
         copy = self.module.copy
         copy.close_epoch(self._inbox.last, early=True)
-        deadline = time.monotonic() + 2 * TABLE_PATIENCE_S
+        deadline = time.monotonic() + FINISH_S
         while copy.push_due() is not None and time.monotonic() < deadline:
             self._send_push()
             spin()

@@ -56,6 +56,10 @@ class TableNode(Node):  # type: ignore[misc]
         self._has_past = restored or bool(options["table"])
         if not restored:
             given = Path(options["table"]) if options["table"] else None
+            if given is None and self._save is not None and self._save.exists():
+                given = self._save  # never replace what was learnt by less
+                self._has_past = True
+                self.get_logger().warning(f"going on from {given}, which is there already")
             self.shared = self._share(
                 load_table(given, params)[0] if given else empty_table(params)
             )
@@ -101,7 +105,8 @@ class TableNode(Node):  # type: ignore[misc]
         for push in later:
             self.shared.push(push)
         self.get_logger().warning(
-            f"taken up where it was cut off: {self._journal.snapshot} and {len(later)} pushes after"
+            f"taken up where it was cut off: {self._journal.snapshot} and {len(later)} pushes "
+            "after; a table given by table:= is not used"
         )
         return True
 
@@ -205,6 +210,12 @@ class TableNode(Node):  # type: ignore[misc]
             sha = self.save()
             self._journal.remove()
             self.get_logger().info(f"table {sha[:12]} is in {self._save}")
+
+    def destroy_node(self) -> None:
+        """Destroy the node; snapshot and journal stay unless it was finished."""
+        if self._journal is not None:
+            self._journal.close()
+        super().destroy_node()
 
 
 def main(args: list[str] | None = None) -> None:

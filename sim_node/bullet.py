@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ember_ros import kinematics
+from ember_ros.errors import ParameterError
 from ember_ros.params import Params
 from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
 
@@ -92,9 +93,11 @@ class BulletWorld(ABC):
             gui: show Bullet's window.
         """
         self.params = params
+        if gui and not os.environ.get("DISPLAY"):
+            raise ParameterError("gui = True needs a display, and DISPLAY is not set")
         self._client = bullet.connect(bullet.GUI if gui else bullet.DIRECT)
         if self._client < 0:
-            raise RuntimeError("Bullet refused a physics server (a window needs a display)")
+            raise ParameterError("Bullet could not open its window; gui = False needs none")
         self._gui = gui
         self.reset()
 
@@ -128,7 +131,12 @@ class BulletWorld(ABC):
     def body(self) -> BodyState:
         """Return the truth about the body, for reports and viewers only."""
 
-    # -- the four verbs ----------------------------------------------------------------------
+    def _look(self) -> None:
+        """Turn the window's camera, if there is one, to where the robot is."""
+        x, y, z = bullet.getBasePositionAndOrientation(self._robot, self._client)[0]
+        bullet.resetDebugVisualizerCamera(2.5, 50, -20, (x, y, z), physicsClientId=self._client)
+
+    # -- the verbs ----------------------------------------------------------------------
 
     def reset(self) -> None:
         """Build everything anew, as it was at tick 0."""
@@ -168,6 +176,8 @@ class BulletWorld(ABC):
         self._read_body()
         if self._fell():
             self._build()
+        if self._gui:
+            self._look()
 
     # -- building ----------------------------------------------------------------------------
 

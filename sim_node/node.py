@@ -115,6 +115,8 @@ class SimNode(Node):  # type: ignore[misc]
             self.get_logger().warning(text)
 
     def _hear_phase(self, data: bytes) -> None:
+        if self.done:
+            return
         try:
             tick, phase = wire.read_phase(data, self._ticks, topics.PHASE.name)
         except SignalError as why:
@@ -130,6 +132,8 @@ class SimNode(Node):  # type: ignore[misc]
         where, reader = f"{leg}/command", wire.CommandWire(leg, self._tick_ns)
 
         def hear(data: bytes) -> None:
+            if self.done:
+                return
             try:
                 command = reader.read(data)
             except SignalError as why:
@@ -283,7 +287,7 @@ class SimNode(Node):  # type: ignore[misc]
         wire.set_stamp(message.header.stamp, self._tick * self._tick_ns)
         sim = DiagnosticStatus(
             name="sim_node",
-            level=DiagnosticStatus.WARN if self._absent or no_phase else DiagnosticStatus.OK,
+            level=DiagnosticStatus.WARN if self._absent or stuck else DiagnosticStatus.OK,
             message="no phase" if no_phase else "standing still" if stuck else "walking",
             values=[
                 KeyValue(key="cycle", value=str(self._tick // self._ticks)),
@@ -293,7 +297,7 @@ class SimNode(Node):  # type: ignore[misc]
         )
         message.status = [sim]
         for leg in self.legs:
-            away = leg in self._absent
+            away = leg in self._absent or (stuck and not no_phase and leg not in self._commands)
             message.status.append(
                 DiagnosticStatus(
                     name=leg,

@@ -1,4 +1,4 @@
-"""What a world is: four verbs. The trainer, the walker and the fake for tests keep to it."""
+"""What a world is: five verbs. The trainer, the walker and the fake for tests keep to it."""
 
 from __future__ import annotations
 

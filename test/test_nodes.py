@@ -736,7 +736,7 @@ def test_saving_changes_nothing_of_what_is_learnt_after(ros: Ros, tmp_path: Path
     )
     tables = set()
     for saves in (False, True):
-        node = make(ros, TableNode, save=str(tmp_path / "table.npz"))
+        node = make(ros, TableNode, save=str(tmp_path / f"table_{saves}.npz"))
         push, pull, save = map(ros.client, (topics.PUSH, topics.PULL, topics.SAVE))
         for leg in (second, first):
             for n in range(3):

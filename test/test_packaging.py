@@ -354,7 +354,6 @@ def test_launch_arguments_reach_the_nodes() -> None:
         "cycles": ("7", int),
         "seed": ("3", int),
         "gui": ("true", bool),
-        "mode": ("lockstep", str),
     }
     assert values(nodes["table_node"]["parameters"][1]) == {
         "stage": "walk",

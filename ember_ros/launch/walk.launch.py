@@ -24,8 +24,8 @@ ARGUMENTS = {
     "save": ("", "file to write the table to at exit" + UNSET),
     "cycles": ("", "stop after so many cycles of the pattern generator" + UNSET),
     "seed": ("", "seed of the world and the legs" + UNSET),
-    "gui": ("false", "show PyBullet's window"),
-    "mode": ("lockstep", "lockstep: wait for all commands; realtime: never"),
+    "gui": ("", "show PyBullet's window" + UNSET),
+    "mode": ("", "lockstep: wait for all commands; realtime: never" + UNSET),
 }
 
 

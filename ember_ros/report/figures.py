@@ -64,8 +64,10 @@ def walking(axes: Sequence[Axes], record: Record, ticks: int) -> None:
     falls = record.measured["falls"]
     cycles = len(traces) // ticks
     axes[0].plot(traces[:, 0], traces[:, 1], color=BLUE, linewidth=1.6)
-    axes[0].plot(traces[:1, 0], traces[:1, 1], "o", color=INK)
-    axes[0].set_aspect("equal", adjustable="datalim")
+    axes[0].plot(traces[:1, 0], traces[:1, 1], "o", color=INK, label="start")
+    axes[0].plot(traces[-1:, 0], traces[-1:, 1], "s", color=AMBER, label="end")
+    axes[0].legend(loc="best", frameon=False)
+    axes[0].set_aspect("equal", adjustable="box", anchor="W")
     axes[0].set_xlabel("x, m")
     axes[0].set_ylabel("y, m")
     axes[0].set_title(
@@ -79,7 +81,8 @@ def walking(axes: Sequence[Axes], record: Record, ticks: int) -> None:
     axes[1].plot(time, shown[:, 3], color=AMBER, linewidth=1.4, label="pitch")
     axes[1].set_xlabel("cycle")
     axes[1].set_ylabel("rad")
-    axes[1].legend(loc="upper right", frameon=False, ncols=2)
+    axes[1].set_title(f"Its last {len(shown) // ticks} cycles", loc="left", color=INK)
+    axes[1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False, ncols=2)
 
 
 def draw(
@@ -88,7 +91,7 @@ def draw(
     trained: Record | None = None,
     walked: Record | None = None,
     ticks: int = 32,
-) -> None:
+) -> bool:
     """Write a picture of what was trained, of what was walked, or of both.
 
     Args:
@@ -96,10 +99,13 @@ def draw(
         trained: record of a leg on the trainer.
         walked: record of a walker.
         ticks: of a cycle.
+
+    Returns:
+        Whether there was anything to draw.
     """
     parts = [part for part in (trained, walked) if part is not None and part.rows]
     if not parts:
-        return
+        return False
     figure, axes = _figure(2 * len(parts))
     for n, part in enumerate(parts):
         pair = axes[2 * n : 2 * n + 2]
@@ -112,3 +118,4 @@ def draw(
     from matplotlib import pyplot
 
     pyplot.close(figure)
+    return True
