@@ -23,7 +23,9 @@ from ember_ros.params_file import dump_params
 from ember_ros.plan import Plan
 from ember_ros.spinning import TURN_S, prepare_environment
 
-STOP_S = 5.0
+PATIENCE_S = 60.0
+"""Wall time a graph started here waits for anybody: a busy machine must not change its bits."""
+STOP_S = 20.0
 """Wall time a process may take to stop before it is killed."""
 
 
@@ -75,7 +77,7 @@ class Graph:
         out: Path | None = None,
         *,
         namespace: str = "",
-        patience: float | None = None,
+        patience: float | None = PATIENCE_S,
         context: Any = None,
     ) -> None:
         """Make the nodes; nothing runs before ``run``.
@@ -182,7 +184,12 @@ class Processes:
     """Each node of a plan in a process of its own, as seven ``ros2 run`` would start them."""
 
     def __init__(
-        self, plan: Plan, out: Path, *, namespace: str = "", patience: float | None = None
+        self,
+        plan: Plan,
+        out: Path,
+        *,
+        namespace: str = "",
+        patience: float | None = PATIENCE_S,
     ) -> None:
         """Start the processes.
 
@@ -270,7 +277,7 @@ class Processes:
 
 @contextmanager
 def processes(
-    plan: Plan, out: Path, *, namespace: str = "", patience: float | None = None
+    plan: Plan, out: Path, *, namespace: str = "", patience: float | None = PATIENCE_S
 ) -> Iterator[Processes]:
     """Run a plan as processes for as long as the block lasts."""
     running = Processes(plan, out, namespace=namespace, patience=patience)

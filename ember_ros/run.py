@@ -37,8 +37,6 @@ from leg_node.table import load_table, save_table
 
 WAYS = ("loop", "graph", "processes")
 TABLE, SUMMARY, PICTURE = "table.npz", "summary.json", "run.png"
-PATIENCE_S = 60.0
-"""Wall time that a run started here waits for anybody: a busy machine must not change its bits."""
 
 GoOn = Callable[[int, int], bool]
 """Told now and then of cycles done and falls; says whether to go on."""
@@ -128,7 +126,7 @@ def _graph(plan: Plan, out: Path, go_on: GoOn) -> None:
     try:
         from ember_ros.graph import Graph
 
-        graph = Graph(plan, out, patience=PATIENCE_S)
+        graph = Graph(plan, out)
     except ModuleNotFoundError as error:
         raise _no_ros(error) from error
     try:
@@ -146,7 +144,7 @@ def _processes(plan: Plan, out: Path, go_on: GoOn) -> None:
     except ModuleNotFoundError as error:
         raise _no_ros(error) from error
     tally = _Tally(out / CYCLES)
-    with processes(plan, out, patience=PATIENCE_S) as running:
+    with processes(plan, out) as running:
         running.wait(lambda: go_on(*tally.read()))
 
 

@@ -24,7 +24,7 @@ from leg_node.table import load_table, save_table
 
 WATCH_S = 0.1  # wall time between looks at whether the table answers
 LOG_EVERY_S = 5.0
-FINISH_S = 1.0  # wall time a leg that ends waits for the table to take what it learnt last
+FINISH_S = 5.0  # least wall time a leg that ends waits for the table to take what it learnt last
 
 
 class LegNode(Node):  # type: ignore[misc]
@@ -148,11 +148,7 @@ class LegNode(Node):  # type: ignore[misc]
 
     def _look(self, tick: int) -> None:
         """Begin a tick if all of it is there, and the table was met."""
-        if (
-            self.module.shared
-            and self.module.copy.version is None
-            and not self._table_is_there()
-        ):
+        if self.module.shared and self.module.copy.version is None and not self._table_is_there():
             return  # a leg does not start from nothing while the table is still starting
         values = self._inbox.take(tick)
         if values is not None:
@@ -288,8 +284,10 @@ class LegNode(Node):  # type: ignore[misc]
         self.done = True
         copy = self.module.copy
         copy.close_epoch(self._inbox.last, early=True)
-        deadline = time.monotonic() + FINISH_S
+        deadline = time.monotonic() + max(FINISH_S, self._patience)
         while copy.push_due() is not None and time.monotonic() < deadline:
+            if not self._push.service_is_ready():
+                break
             self._send_push()
             spin()
         if copy.push_due() is not None:

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 CYCLES = 20
 TICKS = 32
+PATIENCE_S = 30.0
+"""Wall time that nodes wait where bits are compared: a busy machine must not change them."""
 TICK_NS = Params().gait.tick_ns
 LEG_NODES = tuple(f"leg_{leg}" for leg in LEGS)
 
@@ -83,7 +85,7 @@ def test_the_graph_ends_with_the_bits_of_the_loop(
     plan: Plan,
 ) -> None:
     """Table, senses and commands are equal, bit for bit, and nothing healthy is refused."""
-    with closing(Graph(plan, context=ros.context)) as graph:
+    with closing(Graph(plan, patience=PATIENCE_S, context=ros.context)) as graph:
         spun(graph)
         assert by_graph(graph) == by_loop(plan)
         assert not any(refusals(graph.nodes).values())
@@ -98,12 +100,12 @@ def test_a_graph_runs_twice_the_same_way_and_from_a_table(
 ) -> None:
     """Two graphs, one after the other, end alike, also when they begin with what was learnt."""
     file = tmp_path / "table.npz"
-    with closing(Graph(PLANS["walker"], context=ros.context)) as first:
+    with closing(Graph(PLANS["walker"], patience=PATIENCE_S, context=ros.context)) as first:
         save_table(file, spun(first).nodes["table_node"].shared.table, Params(), 3)
     plan = walk(table=file)
     ends = []
     for _ in range(2):
-        with closing(Graph(plan, context=ros.context)) as graph:
+        with closing(Graph(plan, patience=PATIENCE_S, context=ros.context)) as graph:
             ends.append(by_graph(spun(graph)))
     assert ends[0] == ends[1] == by_loop(plan)
     assert ends[0] != by_loop(PLANS["walker"])
@@ -116,7 +118,9 @@ def test_two_robots_in_two_namespaces_do_not_feel_each_other(
     plans = {"robot_1": walk(seed=8), "deep/robot_2": walk(seed=9, sync_every=4)}
     with ExitStack() as stack:
         graphs = {
-            name: stack.enter_context(closing(Graph(plan, context=ros.context, namespace=name)))
+            name: stack.enter_context(
+                closing(Graph(plan, patience=PATIENCE_S, context=ros.context, namespace=name))
+            )
             for name, plan in plans.items()
         }
         deadline = time.monotonic() + 60.0
@@ -134,7 +138,7 @@ def test_who_looks_on_changes_nothing(
     ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """With every topic heard, odometry included, the bits are the same, and all topics speak."""
-    with closing(Graph(walk(), context=ros.context)) as graph:
+    with closing(Graph(walk(), patience=PATIENCE_S, context=ros.context)) as graph:
         heard = {
             topic.name: ros.messages(topic)
             for topic in (
@@ -179,7 +183,7 @@ def test_a_graph_that_cannot_be_made_leaves_nothing(ros: Ros, tmp_path: Path) ->
 
 def test_a_graph_that_is_stopped_early_keeps_what_was_learnt(ros: Ros) -> None:
     """Stopped in the middle of an epoch, every update that a leg made is in the table."""
-    with closing(Graph(walk(), context=ros.context)) as graph:
+    with closing(Graph(walk(), patience=PATIENCE_S, context=ros.context)) as graph:
         graph.run(lambda: graph.sim.world.observe()[0].tick < 100)
         table = graph.nodes["table_node"].shared.table
         acted, falls = graph.sim.world.observe()[0].tick, graph.sim.world.body().falls
@@ -201,7 +205,7 @@ def test_a_fall_is_counted_told_and_credited_to_nobody(
         "walker", CYCLES, seed=1, policy="random", params=params(walker__hip_half_width=0.1)
     )
     assert by_loop(plan).falls >= 3
-    with closing(Graph(plan, context=ros.context)) as graph:
+    with closing(Graph(plan, patience=PATIENCE_S, context=ros.context)) as graph:
         falls = ros.messages(topics.FALLS)
         contacts = {leg: ros.messages(topics.contact(leg)) for leg in LEGS}
         spun(graph)
@@ -310,7 +314,7 @@ def disturbed(
 
     Return the bits, how often the stranger spoke, and what each node refused.
     """
-    with closing(Graph(BRIEF, context=ros.context)) as graph:
+    with closing(Graph(BRIEF, patience=PATIENCE_S, context=ros.context)) as graph:
         stranger = Stranger(ros, graph)
         deadline = time.monotonic() + 20.0
         events = 0
@@ -397,7 +401,7 @@ def test_a_malformed_push_during_a_run_changes_no_bit(
     """A stranger's push of nonsense is refused with a reason; the run ends as without it."""
     good = Push(0, "stranger", 3, cells_sha256(Params()), (Pair(3, 7, 1.0),))
     bad = (good._replace(cells_sha256="?"), good._replace(pairs=(Pair(3, -7, 1.0),)))
-    with closing(Graph(BRIEF, context=ros.context)) as graph:
+    with closing(Graph(BRIEF, patience=PATIENCE_S, context=ros.context)) as graph:
         push = ros.client(topics.PUSH)
         for n in range(4):
             while graph.sim.world.observe()[0].tick < 50 * n:
@@ -561,6 +565,20 @@ def test_legs_go_on_without_the_table_and_give_a_new_one_what_they_kept(ros: Ros
     assert not any(robot.sim.recorder.summary()["absent_ticks"].values())
     learnt = old.shared.table.visits.sum() + new.shared.table.visits.sum()
     assert learnt == 4 * (ticks - 1 - falls)
+
+
+def test_what_legs_kept_is_handed_in_at_the_end_too(ros: Ros) -> None:
+    """A push that a dead table never heard is said again to a new one when a leg ends."""
+    robot = Robot(ros, walk(), sim_node={"cycles": 10**6, "patience": 5.0})
+    robot.walk_to(200)
+    robot.kill("table_node")
+    robot.walk_to(400)
+    robot.start("table_node")
+    ros.client(topics.PUSH)
+    robot.sim.finish(ros.spin_once)
+    for name in LEG_NODES:
+        robot.nodes[name].finish(ros.spin_once)
+    assert [name for name in LEG_NODES if robot.nodes[name].module.copy.push_due()] == []
 
 
 def test_frozen_legs_come_back_to_a_table_that_comes_back(ros: Ros, tmp_path: Path) -> None:

@@ -304,6 +304,8 @@ WRONG: list[tuple[Any, dict[str, Any], str]] = [
     (LegNode, {"policy": "best"}, "policy = 'best' must be one of learned, scripted, random"),
     (LegNode, {"seed": -1}, "seed = -1 must be 0 or more"),
     (LegNode, {"seed": 1.5}, "seed = 1.5 must be a int"),
+    (LegNode, {"table_patience": -1.0}, "table_patience = -1.0 must be 0 or more"),
+    (LegNode, {"table_patience": math.nan}, "table_patience = nan must be 0 or more"),
     (LegNode, {"learning": "yes"}, "learning = 'yes' must be a bool"),
     (LegNode, {"table": "a.npz"}, "shares its table neither loads nor saves"),
     (LegNode, {"save": "a.npz"}, "shares its table neither loads nor saves"),
