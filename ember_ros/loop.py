@@ -81,8 +81,8 @@ class Loop:
         if upto is not None:
             leg.copy.take(self.shared.pull(leg.copy.version, upto), upto)
         command = leg.tick(sense, phase)
-        leg.copy.close_epoch(sense.tick)
-        self._push(leg)
+        if leg.copy.close_epoch(sense.tick):
+            self._push(leg)
         return command
 
     def _push(self, leg: LegModule) -> None:

@@ -79,7 +79,7 @@ class LegModule:
         self.learning = learning
         self.shared = shared and (learning or policy == "learned")
         """Whether this leg has anything to do with the shared table."""
-        self._params = params
+        self._params, self._leg = params, params.leg
         numbers: Learning = params.train if stage == "train" else params.walk
         self._gamma = numbers.gamma
         self._gait = LegGait(params.gait, leg)
@@ -137,9 +137,10 @@ class LegModule:
 
     def _command(self, sense: LegSense, phase: Phase, action: int) -> LegCommand:
         """Drive the hip to the ramp's end of this tick and the knee at the chosen speed."""
-        leg = self._params.leg
+        leg = self._leg
         speed = (self._gait.hip_goal(phase) - sense.hip) / self._tick_s
-        speed = max(-leg.hip_speed_max, min(leg.hip_speed_max, speed))
+        most = leg.hip_speed_max
+        speed = most if speed > most else -most if speed < -most else speed
         return LegCommand(
             sense.tick, speed, leg.knee_speeds[action], leg.hip_torque, leg.knee_torque
         )

@@ -75,6 +75,7 @@ class SharedTable:
         self._cells = cells
         self._floor = floor
         self._changed: Ints = np.full(len(table), version, dtype=np.int64)
+        self._answer: tuple[tuple[int, int], Changes] | None = None
         self._pending: dict[int, list[Push]] = {}
         self._done: dict[int, dict[str, int]] = {}
 
@@ -117,8 +118,14 @@ class SharedTable:
                 self.table.values.copy(),
                 self.table.visits.copy(),
             )
-        cells = np.flatnonzero(self._changed > since)
-        return Changes(self.version, cells, self.table.values[cells], self.table.visits[cells])
+        if self._answer is None or self._answer[0] != (since, self.version):
+            # Kept, since all legs ask for the same, one after the other.
+            cells = np.flatnonzero(self._changed > since)
+            values, visits = self.table.values[cells], self.table.visits[cells]
+            for array in (cells, values, visits):
+                array.flags.writeable = False
+            self._answer = (since, self.version), Changes(self.version, cells, values, visits)
+        return self._answer[1]
 
     def merge(self, upto: int | None = None) -> None:
         """Merge all pending epochs up to and including ``upto``; all there are for None."""
@@ -258,13 +265,15 @@ class LocalCopy:
         """Note that the shared table would not give what it has up to an epoch."""
         self._epoch = upto
 
-    def close_epoch(self, tick: int, *, early: bool = False) -> None:
+    def close_epoch(self, tick: int, *, early: bool = False) -> bool:
         """Make a push of the epoch's pairs if ``tick`` is its last one (or ``early``)."""
-        if self._pairs and (early or (tick + 1) % self._sync_every == 0):
-            epoch = tick // self._sync_every
-            push = Push(self._leg, self._run, epoch, self._cells, tuple(self._pairs))
-            self._unmerged.append(push)
-            self._pairs.clear()
+        if not self._pairs or not (early or (tick + 1) % self._sync_every == 0):
+            return False
+        epoch = tick // self._sync_every
+        push = Push(self._leg, self._run, epoch, self._cells, tuple(self._pairs))
+        self._unmerged.append(push)
+        self._pairs.clear()
+        return True
 
     def push_due(self) -> Push | None:
         """Return the oldest push that was not acknowledged, or None."""

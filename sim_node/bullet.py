@@ -170,7 +170,7 @@ class BulletWorld(ABC):
         client, robot = self._client, self._robot
         for _ in range(self.params.physics.substeps):
             bullet.stepSimulation(client)
-            self._feel(bullet.getContactPoints(robot, physicsClientId=client))
+            self._feel(bullet.getContactPoints(robot, -1, -2, -2, client))  # -1, -2: with anything
         self._tick += 1
         self._senses = self._sense(restart=False)
         self._read_body()

@@ -568,8 +568,9 @@ def test_legs_go_on_without_the_table_and_give_a_new_one_what_they_kept(ros: Ros
 
 
 def test_what_legs_kept_is_handed_in_at_the_end_too(ros: Ros) -> None:
-    """A push that a dead table never heard is said again to a new one when a leg ends."""
-    robot = Robot(ros, walk(), sim_node={"cycles": 10**6, "patience": 5.0})
+    """A push that a dead table never heard is said again at once when a leg ends."""
+    patient = {name: {"table_patience": 1.5} for name in LEG_NODES}  # longer than legs take to end
+    robot = Robot(ros, walk(), sim_node={"cycles": 10**6, "patience": 5.0}, **patient)
     robot.walk_to(200)
     robot.kill("table_node")
     robot.walk_to(400)
