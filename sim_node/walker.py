@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from ember_ros.params import Params
 from ember_ros.signals import LEGS, BodyState, Phase
 from sim_node import bodies
 from sim_node.bullet import BulletWorld, bullet
@@ -21,10 +20,6 @@ class WalkerWorld(BulletWorld):
     legs: tuple[str, ...] = LEGS
     body_joints = ("twist",)
     body_links = ("rear",)
-
-    def __init__(self, params: Params, *, gui: bool = False) -> None:
-        """Build the walker, standing."""
-        super().__init__(params, gui=gui)
 
     def reset(self) -> None:
         """Build everything anew, as it was at tick 0."""
