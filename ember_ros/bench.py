@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ember_ros import wire
+from ember_ros import calls, wire
 from ember_ros.graph import Graph, processes
 from ember_ros.loop import Loop
 from ember_ros.params import Params, cells_sha256
@@ -220,7 +220,7 @@ def _table_memory(params: Params, epochs: int) -> dict[str, int]:
                     Pair(epoch * ticks + n, (start + 31 * n) % size, 1.0) for n in range(8)
                 )
                 push = Push(leg, f"run{epoch // 1000}", epoch, cells, pairs)
-                shared.push(wire.read_push(wire.write_push(push)))
+                shared.push(calls.read_push(calls.write_push(push)))
             for _ in range(4):
                 shared.pull(shared.version, epoch)
             if epoch + 1 in (early, epochs):

@@ -11,7 +11,7 @@ name                       type                        carries
 ``<leg>/contact``          sensor_msgs/JointState      what the foot feels, see ``wire.CONTACT``
 ``<leg>/command``          sensor_msgs/JointState      hip, knee: rad/s and largest N m
 ``falls``                  std_msgs/Int64              falls so far
-``odometry``               nav_msgs/Odometry           the body's pose, for viewers only
+``odometry``               nav_msgs/Odometry           the body's pose, for viewers and bags
 ``diagnostics``            diagnostic_msgs/            who is absent, what was refused
                            DiagnosticArray
 ``table/push`` (service)   rcl_interfaces/             a leg's pairs of one epoch
@@ -21,109 +21,107 @@ name                       type                        carries
 ``table/save`` (service)   std_srvs/Trigger            write the table now
 ``table/learning``         std_srvs/SetBool            whether pushes are merged
 =========================  ==========================  ==========================================
+
+Types are named, and looked up when a node needs them: what only talks about messages needs no ROS.
 """
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import rclpy.service
-from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import Odometry
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.client import Client
-from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Int64
-from std_srvs.srv import SetBool, Trigger
-
-LATEST = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-"""For everything a tick depends on: who joins late gets the latest, nothing is lost."""
-
-VIEW = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.BEST_EFFORT,
-    durability=DurabilityPolicy.VOLATILE,
-)
-"""For viewers: never holds up the robot."""
+if TYPE_CHECKING:
+    import rclpy.service
+    from rclpy.client import Client
+    from rclpy.node import Node
+    from rclpy.publisher import Publisher
+    from rclpy.qos import QoSProfile
+    from rclpy.subscription import Subscription
 
 HELD = 16
 """Messages that a subscription holds until they are heard."""
 
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+def class_of(kind: str) -> Any:
+    """Return the class of a message or service named as ``std_msgs/msg/Float64``."""
+    package, folder, name = kind.split("/")
+    return getattr(importlib.import_module(f"{package}.{folder}"), name)
+
+
+def latest(depth: int = 1) -> QoSProfile:
+    """Return the one quality of service here: who joins late gets the latest, nothing is lost."""
+    from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
 
 class Topic(NamedTuple):
-    """A topic's name, message type and quality of service."""
+    """A topic's name and message type."""
 
     name: str
-    type: Any
-    qos: QoSProfile = LATEST
+    kind: str
 
     def publish(self, node: Node) -> Publisher:
         """Return a new publisher of ``node``."""
-        return node.create_publisher(self.type, self.name, self.qos)
+        return node.create_publisher(class_of(self.kind), self.name, latest())
 
-    def subscribe(self, node: Node, hear: Callable[[bytes], None]) -> Subscription:
+    def subscribe(
+        self, node: Node, hear: Callable[[bytes], None], *, held: int = HELD
+    ) -> Subscription:
         """Return a new subscription of ``node`` that hears serialized messages.
 
         It holds more than the latest: a second publisher must not push the first one's out.
         """
-        qos = QoSProfile(
-            history=self.qos.history,
-            depth=HELD,
-            reliability=self.qos.reliability,
-            durability=self.qos.durability,
+        return node.create_subscription(
+            class_of(self.kind), self.name, hear, latest(held), raw=True
         )
-        return node.create_subscription(self.type, self.name, hear, qos, raw=True)
 
 
 class Service(NamedTuple):
     """A service's name and type."""
 
     name: str
-    type: Any
+    kind: str
 
     def serve(self, node: Node, answer: Callable[[Any, Any], Any]) -> rclpy.service.Service:
         """Return a new service of ``node``."""
-        return node.create_service(self.type, self.name, answer)
+        return node.create_service(class_of(self.kind), self.name, answer)
 
     def call(self, node: Node) -> Client:
         """Return a new client of ``node``."""
-        return node.create_client(self.type, self.name)
+        return node.create_client(class_of(self.kind), self.name)
 
 
-CLOCK = Topic("clock", Clock)
-PHASE = Topic("cpg/phase", Float64)
-FALLS = Topic("falls", Int64)
-ODOMETRY = Topic("odometry", Odometry, VIEW)
-DIAGNOSTICS = Topic("diagnostics", DiagnosticArray)
+CLOCK = Topic("clock", "rosgraph_msgs/msg/Clock")
+PHASE = Topic("cpg/phase", "std_msgs/msg/Float64")
+FALLS = Topic("falls", "std_msgs/msg/Int64")
+ODOMETRY = Topic("odometry", "nav_msgs/msg/Odometry")
+DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 
-PUSH = Service("table/push", SetParametersAtomically)
-PULL = Service("table/pull", GetParameters)
-SAVE = Service("table/save", Trigger)
-LEARNING = Service("table/learning", SetBool)
+PUSH = Service("table/push", "rcl_interfaces/srv/SetParametersAtomically")
+PULL = Service("table/pull", "rcl_interfaces/srv/GetParameters")
+SAVE = Service("table/save", "std_srvs/srv/Trigger")
+LEARNING = Service("table/learning", "std_srvs/srv/SetBool")
 
 
 def joint_states(leg: str) -> Topic:
     """Return the topic of a leg's joint angles and speeds."""
-    return Topic(f"{leg}/joint_states", JointState)
+    return Topic(f"{leg}/joint_states", JOINT_STATE)
 
 
 def contact(leg: str) -> Topic:
     """Return the topic of what a leg's foot feels."""
-    return Topic(f"{leg}/contact", JointState)
+    return Topic(f"{leg}/contact", JOINT_STATE)
 
 
 def command(leg: str) -> Topic:
     """Return the topic of what a leg asks of its motors."""
-    return Topic(f"{leg}/command", JointState)
+    return Topic(f"{leg}/command", JOINT_STATE)

@@ -4,7 +4,7 @@ What is said every tick travels as bytes: publishers here write CDR themselves, 
 raw, and a message that looks byte for byte as our own writers make it, numbers apart, is read with
 one ``struct`` call. That is four times as fast as filling and building message objects. Any other
 message of the same type, from ``ros2 topic pub`` or a real leg's driver, takes the way through
-rclpy's deserializer and is held to the same rules.
+rclpy's deserializer and is held to the same rules; nothing else here needs ROS.
 
 Readers refuse what does not carry what it should with a ``SignalError`` that names what, where,
 and what would be right.
@@ -14,21 +14,12 @@ from __future__ import annotations
 
 import math
 import struct
-from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.serialization import deserialize_message
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
-
-from ember_ros.errors import PushError, SignalError
-from ember_ros.signals import LegCommand, LegSense, Pair, Phase
-from leg_node.shared import Changes, Push
-from leg_node.table import as_floats, as_ints
+from ember_ros import topics
+from ember_ros.errors import ParameterError, SignalError
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
 
 JOINTS = ("hip", "knee")
 CONTACT = ("slip", "inclination", "hair", "touch", "restart", "load", "load_peak")
@@ -46,11 +37,19 @@ def set_stamp(stamp: Any, ns: int) -> None:
     stamp.sec, stamp.nanosec = divmod(ns, GIGA)
 
 
-def _deserialize(data: Bytes, kind: Any, where: str) -> Any:
+def _deserialize(data: Bytes, kind: str, where: str) -> Any:
     try:
-        return deserialize_message(bytes(data), kind)
+        from rclpy.serialization import deserialize_message
+    except ModuleNotFoundError as error:
+        raise ParameterError(
+            f"{where}: the message is laid out as others do it, and only ROS 2 reads that: "
+            "`pip install 'ember_ros[ros]'`, or source an installed Jazzy"
+        ) from error
+    try:
+        return deserialize_message(bytes(data), topics.class_of(kind))
     except Exception as error:  # rclpy raises its own RCLError and RuntimeError
-        raise SignalError(f"{where}: {len(data)} bytes are no {kind.__name__}") from error
+        name = kind.rpartition("/")[2]
+        raise SignalError(f"{where}: {len(data)} bytes are no {name}") from error
 
 
 def tick_of(ns: int, tick_ns: int, where: str) -> int:
@@ -88,7 +87,7 @@ def read_clock(data: Bytes, where: str) -> int:
     if len(data) == _CLOCK.size and data[:4] == CDR:
         _, sec, nanosec = _CLOCK.unpack(data)
     else:
-        clock = _deserialize(data, Clock, where).clock
+        clock = _deserialize(data, topics.CLOCK.kind, where).clock
         sec, nanosec = clock.sec, clock.nanosec
     if sec < 0:
         raise SignalError(f"{where}: {sec} s is before the start")
@@ -109,7 +108,7 @@ def read_phase(data: Bytes, ticks: int, where: str) -> tuple[int, Phase]:
     if len(data) == _PHASE.size and data[:4] == CDR:
         _, phase = _PHASE.unpack(data)
     else:
-        phase = _deserialize(data, Float64, where).data
+        phase = _deserialize(data, topics.PHASE.kind, where).data
     tick = phase * ticks
     if not 0.0 <= tick < 2.0**53 or tick != int(tick):
         raise SignalError(f"{where}: {phase!r} is no phase; a multiple of 1/{ticks} from 0 up is")
@@ -205,7 +204,7 @@ class JointWire:
 
     def _read_slowly(self, data: Bytes, where: str) -> Stamped:
         """Read a message that others made, or say what is wrong with it."""
-        message = _deserialize(data, JointState, where)
+        message = _deserialize(data, topics.JOINT_STATE, where)
         if list(message.name) != self.names:
             raise SignalError(
                 f"{where}: joint names {list(message.name)}; {self.names} would be right"
@@ -311,160 +310,63 @@ class CommandWire:
         )
 
 
-# -- the table's services --------------------------------------------------------------------
-# An ament_python package cannot generate service types; these two carry named arrays, and can be
-# called from a terminal.
+# -- the body --------------------------------------------------------------------------------
 
-_INT = ParameterType.PARAMETER_INTEGER
-_STR = ParameterType.PARAMETER_STRING
-_INTS = ParameterType.PARAMETER_INTEGER_ARRAY
-_FLOATS = ParameterType.PARAMETER_DOUBLE_ARRAY
-_FIELD = {
-    _INT: "integer_value",
-    _STR: "string_value",
-    _INTS: "integer_array_value",
-    _FLOATS: "double_array_value",
-}
-_PUSH = {
-    "leg": _INT,
-    "run": _STR,
-    "epoch": _INT,
-    "cells_sha256": _STR,
-    "tick": _INTS,
-    "cell": _INTS,
-    "target": _FLOATS,
-}
+_FALLS = struct.Struct("<4sq")
 
 
-def _named(name: str, kind: int, value: Any) -> Parameter:
-    return Parameter(name=name, value=_value(kind, value))
+def pack_falls(falls: int) -> bytes:
+    """Return a std_msgs/Int64."""
+    return _FALLS.pack(CDR, falls)
 
 
-def _value(kind: int, value: Any) -> ParameterValue:
-    return ParameterValue(type=kind, **{_FIELD[kind]: value})
-
-
-def write_push(push: Push) -> SetParametersAtomically.Request:
-    """Return the request that carries a push."""
-    fields: dict[str, Any] = {
-        "leg": push.leg,
-        "run": push.run,
-        "epoch": push.epoch,
-        "cells_sha256": push.cells_sha256,
-        "tick": array("q", [pair.tick for pair in push.pairs]),
-        "cell": array("q", [pair.cell for pair in push.pairs]),
-        "target": array("d", [pair.target for pair in push.pairs]),
-    }
-    parameters = [_named(name, kind, fields[name]) for name, kind in _PUSH.items()]
-    return SetParametersAtomically.Request(parameters=parameters)
-
-
-def read_push(request: SetParametersAtomically.Request) -> Push:
-    """Return the push in a request.
+def read_falls(data: Bytes, where: str) -> int:
+    """Return the falls in a std_msgs/Int64.
 
     Raises:
-        PushError: a field is missing, unknown, twice there, of the wrong type, or the arrays are
-            of unequal length.
+        SignalError: it is none, or under 0.
     """
-    fields: dict[str, Any] = {}
-    for parameter in request.parameters:
-        name, kind = parameter.name, parameter.value.type
-        if name not in _PUSH or name in fields:
-            raise PushError(
-                f"push: field {name!r} is unknown or twice there; once each of "
-                f"{', '.join(_PUSH)} would be right"
-            )
-        if kind != _PUSH[name]:
-            raise PushError(
-                f"push: {name} has parameter type {kind}; {_PUSH[name]} "
-                f"({_FIELD[_PUSH[name]]}) would be right"
-            )
-        fields[name] = getattr(parameter.value, _FIELD[kind])
-    missing = [name for name in _PUSH if name not in fields]
-    if missing:
-        raise PushError(f"push: {', '.join(missing)} missing")
-    lengths = [len(fields[name]) for name in ("tick", "cell", "target")]
-    if len(set(lengths)) != 1:
-        raise PushError(
-            f"push: tick, cell and target have {lengths} entries; as many each would be right"
-        )
-    pairs = tuple(map(Pair, fields["tick"], fields["cell"], fields["target"]))
-    return Push(fields["leg"], fields["run"], fields["epoch"], fields["cells_sha256"], pairs)
+    if len(data) == _FALLS.size and data[:4] == CDR:
+        falls = int(_FALLS.unpack(data)[1])
+    else:
+        falls = int(_deserialize(data, topics.FALLS.kind, where).data)
+    if falls < 0:
+        raise SignalError(f"{where}: {falls} falls; 0 or more would be right")
+    return falls
 
 
-def write_pull(since: int | None, upto: int) -> GetParameters.Request:
-    """Return the request for what changed after a version with all epochs to ``upto`` merged."""
-    return GetParameters.Request(
-        names=[
-            f"since={-1 if since is None else since}",
-            f"upto={upto}",
-            "version",
-            "cells",
-            "values",
-            "visits",
-        ]
+# Frames as in REP 105, but for a body that is no vehicle's base; no covariance, no twist is known.
+_FRAMES = _padded(_string(_string(bytes(8), "odom"), "body"), 8)[8:]
+_UNKNOWN = bytes(8 * (36 + 6 + 36))
+_ODOMETRY = struct.Struct(f"<4siI{len(_FRAMES)}s7d{len(_UNKNOWN)}s")
+
+
+def pack_odometry(ns: int, body: BodyState) -> bytes:
+    """Return a nav_msgs/Odometry with the body's pose."""
+    turn = quaternion(body.roll, body.pitch, body.yaw)
+    return _ODOMETRY.pack(
+        CDR, *divmod(ns, GIGA), _FRAMES, body.x, body.y, body.height, *turn, _UNKNOWN
     )
 
 
-def read_pull(request: GetParameters.Request) -> tuple[int | None, int | None, list[str]]:
-    """Return ``since``, ``upto`` (None where not given) and what is asked for, in order.
+def read_odometry(data: Bytes, where: str) -> tuple[int, tuple[float, ...]]:
+    """Return the stamp, ns, and x, y, height (m), roll, pitch, yaw (rad) of a nav_msgs/Odometry.
 
     Raises:
-        PushError: a name is not one of those that the service knows.
+        SignalError: it is none, or not finite.
     """
-    bounds: dict[str, int] = {}
-    wanted: list[str] = []
-    for name in request.names:
-        key, _, number = name.partition("=")
-        if key in ("since", "upto") and number.removeprefix("-").isdecimal():
-            bounds[key] = int(number)
-            if not -(2**63) <= bounds[key] < 2**63:
-                raise PushError(f"pull: {name} is no 64-bit number")
-        elif name not in ("version", "cells", "values", "visits", "about"):
-            raise PushError(
-                f"pull: {name!r} is unknown; since=VERSION, upto=EPOCH, version, cells, "
-                "values, visits, about are known"
-            )
-        wanted.append(name)
-    return bounds.get("since"), bounds.get("upto"), wanted
-
-
-def answer_pull(
-    wanted: Sequence[str], changes: Changes, about: Callable[[], str]
-) -> list[ParameterValue]:
-    """Return one value a wanted name, in order."""
-    out = []
-    for name in wanted:
-        key, _, number = name.partition("=")
-        if number:
-            out.append(_value(_INT, int(number)))
-        elif key == "version":
-            out.append(_value(_INT, changes.version))
-        elif key == "values":
-            out.append(_value(_FLOATS, array("d", changes.values.tobytes())))
-        elif key in ("cells", "visits"):
-            numbers = changes.cells if key == "cells" else changes.visits
-            out.append(_value(_INTS, array("q", numbers.tobytes())))
-        else:
-            out.append(_value(_STR, about()))
-    return out
-
-
-def read_changes(response: GetParameters.Response) -> Changes:
-    """Return what changed from the answer to ``write_pull``.
-
-    Raises:
-        PushError: the answer is empty: the table refused the request.
-    """
-    if len(response.values) != 6:
-        raise PushError("pull: the table node refused; its log says why")
-    version, cells, values, visits = response.values[2:]
-    return Changes(
-        version.integer_value,
-        as_ints(cells.integer_array_value),
-        as_floats(values.double_array_value),
-        as_ints(visits.integer_array_value),
-    )
+    pose: tuple[float, ...]
+    if len(data) == _ODOMETRY.size and data[:4] == CDR and data[12 : 12 + len(_FRAMES)] == _FRAMES:
+        parts = _ODOMETRY.unpack(data)
+        ns, pose = parts[1] * GIGA + parts[2], parts[4:11]
+    else:
+        message = _deserialize(data, topics.ODOMETRY.kind, where)
+        stamp, at = message.header.stamp, message.pose.pose.position
+        ns, turn = stamp.sec * GIGA + stamp.nanosec, message.pose.pose.orientation
+        pose = at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w
+    if not all(map(math.isfinite, pose)):
+        raise SignalError(f"{where}: pose {pose} is not finite")
+    return ns, (*pose[:3], *euler(*pose[3:]))
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
@@ -477,4 +379,13 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
         cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
         cr * cp * cy + sr * sp * sy,
+    )
+
+
+def euler(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw, rad, of a unit quaternion: ``quaternion`` turned round."""
+    return (
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
+        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
     )

@@ -12,7 +12,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.task import Future
 
-from ember_ros import topics, wire
+from ember_ros import calls, topics, wire
 from ember_ros.errors import ParameterError, PushError, SignalError
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.signals import LegCommand, LegSense, Phase
@@ -166,7 +166,7 @@ class LegNode(Node):  # type: ignore[misc]
         if upto is None or self._table_away:
             self._act(sense, phase)
             return
-        future = self._pull.call_async(wire.write_pull(self.module.copy.version, upto))
+        future = self._pull.call_async(calls.write_pull(self.module.copy.version, upto))
         if self.module.copy.version is None:
             waiting = self._wait(lambda: self._act(sense, phase), lambda: self._begin(sense, phase))
         else:
@@ -177,7 +177,7 @@ class LegNode(Node):  # type: ignore[misc]
         if self._waiting is not waiting:
             return  # too late: the tick went on without
         try:
-            self.module.copy.take(wire.read_changes(future.result()), upto)
+            self.module.copy.take(calls.read_changes(future.result()), upto)
         except PushError as why:
             self._refuse(why)
             self.module.copy.go_without(upto)
@@ -210,7 +210,7 @@ class LegNode(Node):  # type: ignore[misc]
         if push is None or push is self._pushing:
             return
         self._pushing = push
-        future = self._push.call_async(wire.write_push(push))
+        future = self._push.call_async(calls.write_push(push))
         future.add_done_callback(lambda done: self._pushed(done, push))
 
     def _pushed(self, future: Future, push: Push) -> None:
@@ -271,7 +271,7 @@ class LegNode(Node):  # type: ignore[misc]
         if self.module.copy.push_due() is not None:
             self._send_push()
         else:  # a leg that learns nothing has nothing to push
-            future = self._pull.call_async(wire.write_pull(self.module.copy.version, -1))
+            future = self._pull.call_async(calls.write_pull(self.module.copy.version, -1))
             future.add_done_callback(lambda done: self._table_is_back())
 
     def _table_is_back(self) -> None:

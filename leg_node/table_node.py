@@ -13,7 +13,7 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from ember_ros import topics, wire
+from ember_ros import calls, topics
 from ember_ros.errors import EmberError, PushError, TableError
 from ember_ros.params import as_dict, cells_sha256
 from ember_ros.ros_params import declare_options, declare_params
@@ -136,7 +136,7 @@ class TableNode(Node):  # type: ignore[misc]
         response: SetParametersAtomically.Response,
     ) -> SetParametersAtomically.Response:
         try:
-            push = wire.read_push(request)
+            push = calls.read_push(request)
             fresh = self.shared.push(push)
             if fresh and self._journal and self.shared.learning:
                 self._journal.add(push)
@@ -154,7 +154,7 @@ class TableNode(Node):  # type: ignore[misc]
         self, request: GetParameters.Request, response: GetParameters.Response
     ) -> GetParameters.Response:
         try:
-            since, upto, wanted = wire.read_pull(request)
+            since, upto, wanted = calls.read_pull(request)
             if since is not None and 0 <= since < self._born and not self._has_past:
                 raise PushError(
                     f"pull: version {since} is of a table that was here before; this one was "
@@ -164,7 +164,7 @@ class TableNode(Node):  # type: ignore[misc]
             self._refuse(why)
             return response  # empty: all this type has to say no with
         changes = self.shared.pull(since, upto)
-        response.values = wire.answer_pull(wanted, changes, self._about)
+        response.values = calls.answer_pull(wanted, changes, self._about)
         return response
 
     def _about(self) -> str:

@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from std_msgs.msg import Int64
 
 from ember_ros import topics, wire
 from ember_ros.errors import SignalError
@@ -85,9 +83,7 @@ class SimNode(Node):  # type: ignore[misc]
         self._joints = [topics.joint_states(leg).publish(self) for leg in self.legs]
         self._contacts = [topics.contact(leg).publish(self) for leg in self.legs]
         self._falls_publisher = topics.FALLS.publish(self)
-        self._odometry, self._odometry_message = topics.ODOMETRY.publish(self), Odometry()
-        self._odometry_message.header.frame_id = "odom"
-        self._odometry_message.child_frame_id = "body"
+        self._odometry = topics.ODOMETRY.publish(self)
         self._diagnostics = topics.DIAGNOSTICS.publish(self)
         self._phase_subscription = topics.PHASE.subscribe(self, self._hear_phase)
         self._subscriptions_by_leg = {
@@ -176,20 +172,11 @@ class SimNode(Node):  # type: ignore[misc]
                     f"fall {body.falls} in cycle {self._tick // self._ticks}; put back on its feet"
                 )
             self._falls = body.falls
-            self._falls_publisher.publish(Int64(data=body.falls))
+            self._falls_publisher.publish(wire.pack_falls(body.falls))
         if self._odometry.get_subscription_count():
-            self._publish_odometry(ns)
+            self._odometry.publish(wire.pack_odometry(ns, body))
         if self._tick % self._ticks == 0:
             self._diagnose()
-
-    def _publish_odometry(self, ns: int) -> None:
-        body, message = self.world.body(), self._odometry_message
-        wire.set_stamp(message.header.stamp, ns)
-        pose = message.pose.pose
-        pose.position.x, pose.position.y, pose.position.z = body.x, body.y, body.height
-        turn = pose.orientation
-        turn.x, turn.y, turn.z, turn.w = wire.quaternion(body.roll, body.pitch, body.yaw)
-        self._odometry.publish(message)
 
     def _step_if_complete(self) -> None:
         """Step once the phase and the commands of everybody present are in."""

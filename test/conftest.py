@@ -221,14 +221,11 @@ class Ros:
 
     def messages(self, topic: Any, *, matched: bool = True, raw: bool = False) -> list[Any]:
         """Subscribe to one of ``topics`` and return the list that its messages will be put in."""
-        from rclpy.qos import QoSProfile
+        from ember_ros.topics import class_of, latest
 
         heard: list[Any] = []
-        qos = QoSProfile(
-            depth=100_000, reliability=topic.qos.reliability, durability=topic.qos.durability
-        )
         subscription = self.node.create_subscription(
-            topic.type, topic.name, heard.append, qos, raw=raw
+            class_of(topic.kind), topic.name, heard.append, latest(100_000), raw=raw
         )
         if matched:
             self.spin_until(subscription.handle.get_publisher_count, f"{topic.name} is published")

@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 
 from cpg_node.node import CpgNode
-from ember_ros import topics, wire
+from ember_ros import calls, topics, wire
 from ember_ros.errors import EmberError
 from ember_ros.graph import Graph, node_options
 from ember_ros.params import Params, as_dict, cells_sha256, replace
@@ -406,7 +406,7 @@ def test_a_malformed_push_during_a_run_changes_no_bit(
         for n in range(4):
             while graph.sim.world.observe()[0].tick < 50 * n:
                 graph.spin_once(0.01)
-            result = ros.call(push, wire.write_push(bad[n % 2]), graph.spin_once).result
+            result = ros.call(push, calls.write_push(bad[n % 2]), graph.spin_once).result
             assert not result.successful
             assert result.reason
         assert by_graph(spun(graph)) == by_loop(BRIEF)
@@ -598,7 +598,7 @@ def test_frozen_legs_come_back_to_a_table_that_comes_back(ros: Ros, tmp_path: Pa
     shared = robot.start("table_node", table=file).shared
     push = ros.client(topics.PUSH)
     taught = Push(0, "a teacher", 0, cells_sha256(Params()), (Pair(3, 7, 0.25),))
-    assert ros.call(push, wire.write_push(taught)).result.successful
+    assert ros.call(push, calls.write_push(taught)).result.successful
     ros.spin_until(lambda: shared.table.visits[7] == 1, "somebody pulls")
     legs = [node.module.copy.table for name, node in robot.nodes.items() if name in LEG_NODES]
     ros.spin_until(lambda: all(t.visits[7] == 1 for t in legs), "every leg has what was taught")

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from cpg_node.node import CpgNode
-from ember_ros import topics, wire
+from ember_ros import calls, topics, wire
 from ember_ros.errors import EmberError, ParameterError, TableError
 from ember_ros.loop import Loop
 from ember_ros.params import SPECS, Params, cells_sha256
@@ -491,8 +491,8 @@ def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: 
         request: GetParameters.Request, response: GetParameters.Response
     ) -> GetParameters.Response:
         pulls.append(request)
-        since, upto, wanted = wire.read_pull(request)
-        response.values = wire.answer_pull(wanted, shared.pull(since, upto), str)
+        since, upto, wanted = calls.read_pull(request)
+        response.values = calls.answer_pull(wanted, shared.pull(since, upto), str)
         return response
 
     make(ros, LegNode, leg="rear_left")
@@ -536,7 +536,7 @@ GOOD = Push(1, "a run", 5, cells_sha256(Params()), (Pair(160, 3, 0.5), Pair(161,
 
 def push_with(name: str, **fields: Any) -> SetParametersAtomically.Request:
     """Return a good push with one field's value changed, or without the field."""
-    request = wire.write_push(GOOD)
+    request = calls.write_push(GOOD)
     if fields:
         (value,) = (p.value for p in request.parameters if p.name == name)
         for key, content in fields.items():
@@ -548,7 +548,7 @@ def push_with(name: str, **fields: Any) -> SetParametersAtomically.Request:
 
 def push_and(name: str) -> SetParametersAtomically.Request:
     """Return a good push with a field more."""
-    request = wire.write_push(GOOD)
+    request = calls.write_push(GOOD)
     request.parameters.append(Parameter(name, value=1).to_parameter_msg())
     return request
 
@@ -609,24 +609,24 @@ def test_a_push_is_merged_once_however_often_it_comes(ros: Ros) -> None:
     push, pull = ros.client(topics.PUSH), ros.client(topics.PULL)
     version = everything(ros, pull)[0]
     for n in range(3):
-        result = ros.call(push, wire.write_push(GOOD)).result
+        result = ros.call(push, calls.write_push(GOOD)).result
         assert result.successful
         assert bool(result.reason) == bool(n)  # "taken before"
     assert node.shared.table.visits.sum() == 0
-    changes = wire.read_changes(ros.call(pull, wire.write_pull(version, 4)))
+    changes = calls.read_changes(ros.call(pull, calls.write_pull(version, 4)))
     assert (changes.version, len(changes.cells)) == (version, 0)
-    changes = wire.read_changes(ros.call(pull, wire.write_pull(version, 5)))
+    changes = calls.read_changes(ros.call(pull, calls.write_pull(version, 5)))
     assert changes.version > version
     assert (changes.cells.tolist(), changes.values.tolist()) == ([3, 4], [0.5, -0.25])
     assert changes.visits.tolist() == [1, 1]
     merged = everything(ros, pull)
-    assert ros.call(push, wire.write_push(GOOD)).result.successful
-    ros.call(pull, wire.write_pull(version, 9))
+    assert ros.call(push, calls.write_push(GOOD)).result.successful
+    ros.call(pull, calls.write_pull(version, 9))
     assert everything(ros, pull) == merged
     assert node.refused == 0
     # Another life of the same leg is another push.
-    assert ros.call(push, wire.write_push(GOOD._replace(run="another"))).result.reason == ""
-    ros.call(pull, wire.write_pull(version, 5))
+    assert ros.call(push, calls.write_push(GOOD._replace(run="another"))).result.reason == ""
+    ros.call(pull, calls.write_pull(version, 5))
     assert node.shared.table.visits.sum() == 4
 
 
@@ -642,8 +642,8 @@ def test_the_order_in_which_pushes_come_does_not_matter(ros: Ros) -> None:
         node = make(ros, TableNode)
         push, pull = ros.client(topics.PUSH), ros.client(topics.PULL)
         for leg in order:
-            assert ros.call(push, wire.write_push(pushes[leg])).result.successful
-        ros.call(pull, wire.write_pull(None, 0))
+            assert ros.call(push, calls.write_push(pushes[leg])).result.successful
+        ros.call(pull, calls.write_pull(None, 0))
         assert node.shared.table.visits[7] == 20
         tables.add(node.shared.table.sha256())
         ros.remove(node)
@@ -661,7 +661,7 @@ def test_the_whole_table_can_be_pulled(ros: Ros, file: Path) -> None:
     assert visits.integer_array_value.tobytes() == table.visits.tobytes()
     assert list(cells.integer_array_value) == list(range(len(table)))
     assert '"seed": 11' in about.string_value
-    first = wire.read_changes(ros.call(pull, wire.write_pull(None, -1)))
+    first = calls.read_changes(ros.call(pull, calls.write_pull(None, -1)))
     assert first.values.tobytes() == table.values.tobytes()
     assert first.visits.tobytes() == table.visits.tobytes()
 
@@ -683,7 +683,7 @@ def test_save_writes_the_table_and_says_where(ros: Ros, tmp_path: Path, file: Pa
     target = tmp_path / "deep" / "after.npz"
     node = make(ros, TableNode, table=str(file), save=str(target), seed=9)
     push, save = ros.client(topics.PUSH), ros.client(topics.SAVE)
-    ros.call(push, wire.write_push(GOOD))
+    ros.call(push, calls.write_push(GOOD))
     answer = ros.call(save, Trigger.Request())
     assert answer.success
     before, _ = load_table(file, Params())
@@ -744,10 +744,10 @@ def test_saving_changes_nothing_of_what_is_learnt_after(ros: Ros, tmp_path: Path
             for n in range(3):
                 pairs = (Pair(3 + n, 7, leg.pairs[0].target / (n + 1)),)
                 push_ = leg._replace(epoch=n, pairs=pairs)
-                assert ros.call(push, wire.write_push(push_)).result.successful
+                assert ros.call(push, calls.write_push(push_)).result.successful
             if saves:
                 assert ros.call(save, Trigger.Request()).success
-        ros.call(pull, wire.write_pull(None, 2))
+        ros.call(pull, calls.write_pull(None, 2))
         tables.add(node.shared.table.sha256())
         node.finish(lambda: None)
         ros.remove(node)
@@ -763,15 +763,15 @@ def test_what_was_acknowledged_outlives_the_node(ros: Ros, tmp_path: Path) -> No
         node = make(ros, TableNode, **options)
         push, pull = ros.client(topics.PUSH), ros.client(topics.PULL)
         for n, each in enumerate(pushes):
-            assert ros.call(push, wire.write_push(each)).result.reason == ""
+            assert ros.call(push, calls.write_push(each)).result.reason == ""
             if n == 5:
-                ros.call(pull, wire.write_pull(None, 0))  # some are merged, some are not
+                ros.call(pull, calls.write_pull(None, 0))  # some are merged, some are not
             if n == cut:
                 ros.remove(node)
                 node = make(ros, TableNode, **options)
-                assert ros.call(push, wire.write_push(each)).result.successful
-                assert "taken before" in ros.call(push, wire.write_push(each)).result.reason
-        ros.call(pull, wire.write_pull(None, 2))
+                assert ros.call(push, calls.write_push(each)).result.successful
+                assert "taken before" in ros.call(push, calls.write_push(each)).result.reason
+        ros.call(pull, calls.write_pull(None, 2))
         tables.add(node.shared.table.sha256())
         node.finish(lambda: None)
         ros.remove(node)
@@ -787,7 +787,7 @@ def test_learning_can_be_switched_off_and_on(ros: Ros) -> None:
         answer = ros.call(learning, SetBool.Request(data=on))
         assert answer.success
         assert ("merged" if on else "dropped") in answer.message
-        assert ros.call(push, wire.write_push(GOOD._replace(epoch=epoch))).result.successful
-    ros.call(pull, wire.write_pull(None, 9))
+        assert ros.call(push, calls.write_push(GOOD._replace(epoch=epoch))).result.successful
+    ros.call(pull, calls.write_pull(None, 9))
     assert node.shared.table.visits.sum() == 2 * len(GOOD.pairs)
     assert node.refused == 0

@@ -20,7 +20,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from ember_ros import wire
+from ember_ros import calls, wire
 from ember_ros.errors import PushError, SignalError
 from ember_ros.params import Params, cells_sha256
 from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense, Pair
@@ -362,7 +362,7 @@ def test_a_message_cut_short_is_refused(sense: LegSense, data: st.DataObject) ->
 @given(pushes)
 def test_a_push_survives_bit_for_bit(push: Push) -> None:
     """A push comes out of its request with every bit it went in with."""
-    assert exactly(wire.read_push(wire.write_push(push))) == exactly(push)
+    assert exactly(calls.read_push(calls.write_push(push))) == exactly(push)
 
 
 GOOD = Push(2, "a run", 5, cells_sha256(Params()), (Pair(160, 3, -0.0), Pair(161, 4, 1 / 3)))
@@ -377,49 +377,49 @@ def of(request: SetParametersAtomically.Request, name: str) -> ParameterValue:
 @pytest.mark.parametrize("name", ["leg", "run", "epoch", "cells_sha256", "tick", "cell", "target"])
 def test_a_push_with_a_field_missing_twice_or_of_another_type_is_refused(name: str) -> None:
     """Each field must be there once and have its own type; the error names it."""
-    request = wire.write_push(GOOD)
+    request = calls.write_push(GOOD)
     request.parameters = [p for p in request.parameters if p.name != name]
     with pytest.raises(PushError, match=f"^push: {name} missing"):
-        wire.read_push(request)
-    request = wire.write_push(GOOD)
+        calls.read_push(request)
+    request = calls.write_push(GOOD)
     request.parameters.append(Parameter(name=name, value=of(request, name)))
     with pytest.raises(PushError, match=f"^push: field '{name}' is unknown or twice"):
-        wire.read_push(request)
+        calls.read_push(request)
     for kind in range(12):
-        request = wire.write_push(GOOD)
+        request = calls.write_push(GOOD)
         value = of(request, name)
         if kind != value.type:
             value.type = kind
             with pytest.raises(PushError, match=f"^push: {name} has parameter type {kind}"):
-                wire.read_push(request)
+                calls.read_push(request)
 
 
 def test_a_push_with_an_unknown_field_is_refused() -> None:
     """The error names the field and those that are known."""
-    request = wire.write_push(GOOD)
+    request = calls.write_push(GOOD)
     value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
     request.parameters.append(Parameter(name="trust_me", value=value))
     with pytest.raises(PushError, match=r"'trust_me' is unknown .*leg, run, epoch"):
-        wire.read_push(request)
+        calls.read_push(request)
 
 
 @pytest.mark.parametrize("name", ["tick", "cell", "target"])
 def test_a_push_of_unequal_lengths_is_refused(name: str) -> None:
     """Tick, cell and target are as many each."""
-    request = wire.write_push(GOOD)
+    request = calls.write_push(GOOD)
     value = of(request, name)
     if name == "target":
         value.double_array_value = array("d", [0.0])
     else:
         value.integer_array_value = array("q", [1, 2, 3])
     with pytest.raises(PushError, match=r"^push: tick, cell and target have"):
-        wire.read_push(request)
+        calls.read_push(request)
 
 
 def test_an_empty_push_is_no_push() -> None:
     """A request without fields names all that are missing."""
     with pytest.raises(PushError, match="leg, run, epoch, cells_sha256, tick, cell, target miss"):
-        wire.read_push(SetParametersAtomically.Request())
+        calls.read_push(SetParametersAtomically.Request())
 
 
 @pytest.mark.parametrize(
@@ -445,7 +445,7 @@ def test_a_push_that_says_nonsense_is_refused_whole(bad: Push, names: str) -> No
     shared = SharedTable(table, cells=cells_sha256(params), floor=0.1)
     before = table.sha256()
     with pytest.raises(PushError, match=names):
-        shared.push(wire.read_push(wire.write_push(bad)))
+        shared.push(calls.read_push(calls.write_push(bad)))
     shared.merge()
     assert (table.sha256(), shared.version) == (before, 0)
 
@@ -467,10 +467,10 @@ def test_a_pull_survives_bit_for_bit(
         np.array(values, dtype=np.float64),
         np.array(visits, dtype=np.int64),
     )
-    asked_since, asked_upto, wanted = wire.read_pull(wire.write_pull(since, upto))
+    asked_since, asked_upto, wanted = calls.read_pull(calls.write_pull(since, upto))
     assert (asked_since, asked_upto) == (-1 if since is None else since, upto)
-    response = GetParameters.Response(values=wire.answer_pull(wanted, changes, str))
-    read = wire.read_changes(response)
+    response = GetParameters.Response(values=calls.answer_pull(wanted, changes, str))
+    read = calls.read_changes(response)
     assert read.version == version
     for ours, theirs in zip(read[1:], changes[1:], strict=True):
         assert ours.dtype == theirs.dtype
@@ -485,9 +485,9 @@ def test_a_pull_of_the_whole_table_is_the_table() -> None:
     table.put(3, -0.0, 1)
     shared = SharedTable(table, cells="", floor=0.1)
     request = GetParameters.Request(names=["about", "visits", "values", "cells", "version"])
-    since, upto, wanted = wire.read_pull(request)
+    since, upto, wanted = calls.read_pull(request)
     assert (since, upto, wanted) == (None, None, request.names)
-    about, visits, values, cells, version = wire.answer_pull(
+    about, visits, values, cells, version = calls.answer_pull(
         wanted, shared.pull(since, upto), lambda: "{}"
     )
     assert about.string_value == "{}"
@@ -504,20 +504,20 @@ def test_a_pull_of_the_whole_table_is_the_table() -> None:
 def test_a_pull_of_something_unknown_is_refused(name: str) -> None:
     """The error names what was asked and what may be asked."""
     with pytest.raises(PushError, match=rf"^pull: '{name}' is unknown; .*values, visits, about"):
-        wire.read_pull(GetParameters.Request(names=["version", name]))
+        calls.read_pull(GetParameters.Request(names=["version", name]))
 
 
 @pytest.mark.parametrize("name", [f"since={2**63}", f"upto={2**63}", f"since=-{2**63 + 1}"])
 def test_a_pull_with_a_bound_that_is_no_64_bit_integer_is_refused(name: str) -> None:
     """A bound that no version or epoch can have is refused, not passed on to raise elsewhere."""
     with pytest.raises(PushError, match=r"^pull: "):
-        wire.read_pull(GetParameters.Request(names=[name, "version"]))
+        calls.read_pull(GetParameters.Request(names=[name, "version"]))
 
 
 def test_an_empty_answer_to_a_pull_is_a_refusal() -> None:
     """A leg that is answered nothing says so, and takes nothing."""
     with pytest.raises(PushError, match="refused"):
-        wire.read_changes(GetParameters.Response())
+        calls.read_changes(GetParameters.Response())
 
 
 def test_signals_have_no_field_that_wire_forgets() -> None:
