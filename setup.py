@@ -34,6 +34,7 @@ setup(
             "leg_node = leg_node.node:main",
             "cpg_node = cpg_node.node:main",
             "table_node = leg_node.table_node:main",
+            "recorder_node = ember_ros.bag.recorder_node:main",
         ]
     },
 )

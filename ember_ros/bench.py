@@ -19,8 +19,9 @@ from ember_ros.loop import Loop
 from ember_ros.params import Params, cells_sha256
 from ember_ros.plan import Plan, make_world
 from ember_ros.report.recorder import Recorder
-from ember_ros.run import TABLE, versions
+from ember_ros.run import TABLE
 from ember_ros.signals import BodyState, LegCommand, LegSense, Pair, Phase
+from ember_ros.versions import versions
 from leg_node.shared import Push, SharedTable
 from leg_node.table import empty_table, save_table
 
@@ -140,10 +141,10 @@ def _physics(plan: Plan, tape: _Tape) -> float:
 
 def _loop(plan: Plan, *, record: bool) -> float:
     loop = Loop(plan)
-    recorder = Recorder(plan.params, plan.legs) if record else None
+    recorders = [Recorder(plan.params, plan.legs)] if record else []
     began = time.perf_counter()
     for _ in range(plan.cycles * plan.params.gait.ticks):
-        loop.tick(recorder)
+        loop.tick(*recorders)
     took = time.perf_counter() - began
     loop.close()
     return took

@@ -16,6 +16,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as Grid
 
 import ember_ros
+from ember_ros.bag.storage import STORAGES, BagOptions
+from ember_ros.cli_bags import COMMANDS
 from ember_ros.errors import EmberError, ParameterError
 from ember_ros.params import SPECS, Params
 from ember_ros.params_file import dump_params, load_params
@@ -58,6 +60,30 @@ def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
         for option in (
             click.option(
                 "--force", is_flag=True, help="Replace an earlier run in --out instead of refusing."
+            ),
+            click.option(
+                "--split-s",
+                type=click.FloatRange(0.0),
+                default=0.0,
+                help="Begin a new file of the bag after so many simulated seconds.",
+            ),
+            click.option(
+                "--split-mb",
+                type=click.FloatRange(0.0),
+                default=0.0,
+                help="Begin a new file of the bag after so many megabytes.",
+            ),
+            click.option(
+                "--storage",
+                type=click.Choice(list(STORAGES)),
+                default="mcap",
+                show_default=True,
+                help="Of the bag.",
+            ),
+            click.option(
+                "--bag",
+                type=click.Path(path_type=Path),
+                help="Record the run into this new folder; see `ember replay --help`.",
             ),
             click.option(
                 "--on",
@@ -153,6 +179,10 @@ def _run(
     policy: str,
     way: str,
     force: bool,
+    bag: Path | None,
+    storage: str,
+    split_mb: float,
+    split_s: float,
 ) -> None:
     plan = Plan(
         world,
@@ -170,21 +200,26 @@ def _run(
             "replace it"
         )
     with stop_signals() as stop:
-        record, summary = _show(plan, way, out, stop)
+        into = BagOptions(bag, storage, split_mb, split_s) if bag else None
+        record, summary = _show(plan, way, out, stop, into)
         what = "trained" if world == "trainer" else "walked"
         drawn = _draw(out / PICTURE, plan, **{what: record})
     console.print(_grid({what: summary}))
     picture = f", {PICTURE}" if drawn else "; no whole cycle to draw"
     console.print(f"In {out}: {TABLE}, cycles.csv, {SUMMARY}{picture}")
+    if bag:
+        console.print(f"In {bag}: the whole run; `ember replay {bag}` runs it again")
     if not summary["complete"]:
         _end_early(summary, out)
 
 
-def _show(plan: Plan, way: str, out: Path, stop: Stop) -> tuple[Any, dict[str, Any]]:
+def _show(
+    plan: Plan, way: str, out: Path, stop: Stop, bag: BagOptions | None = None
+) -> tuple[Any, dict[str, Any]]:
     """Run a plan behind a progress bar."""
     label = "walking" if plan.world == "walker" else "training"
     with _progress(f"{label} ({way})", plan.cycles, stop) as go_on:
-        return run(plan, way, out, go_on, shlex.join(["ember", *sys.argv[1:]]))
+        return run(plan, way, out, go_on, shlex.join(["ember", *sys.argv[1:]]), bag)
 
 
 def _draw(file: Path, plan: Plan, **records: Any) -> bool:
@@ -381,3 +416,7 @@ def params_command(describe: bool) -> None:
         shown = ", ".join(map(str, default)) if isinstance(default, tuple) else str(default)
         click.echo(f"{name} = {shown} [{spec.unit}], {spec.low:g} to {spec.high:g}")
         click.echo(f"    {spec.doc}")
+
+
+for command in COMMANDS:
+    main.add_command(command)

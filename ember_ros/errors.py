@@ -28,3 +28,7 @@ class SignalError(EmberError):
 
 class GraphError(EmberError):
     """The node graph did not come up, or a process of it ended before its time."""
+
+
+class BagError(EmberError):
+    """A bag is missing, damaged, of something else, or cannot be written."""

@@ -15,13 +15,17 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ember_ros.bag.storage import BagOptions
 from ember_ros.errors import GraphError
 from ember_ros.params import as_dict
 from ember_ros.params_file import dump_params
 from ember_ros.plan import Plan
 from ember_ros.spinning import TURN_S, prepare_environment
+
+if TYPE_CHECKING:
+    from sim_node.world import World
 
 PATIENCE_S = 60.0
 """Wall time a graph started here waits for anybody: a busy machine must not change its bits."""
@@ -30,9 +34,14 @@ STOP_S = 20.0
 
 
 def node_options(
-    plan: Plan, out: Path | None = None, patience: float | None = None
+    plan: Plan,
+    out: Path | None = None,
+    patience: float | None = None,
+    bag: BagOptions | None = None,
 ) -> dict[str, dict[str, Any]]:
     """Return the options of every node of a plan, by the node's name; ``leg_<leg>`` for legs."""
+    into = {} if bag is None else bag._asdict() | {"bag": str(bag.folder)}
+    into.pop("folder", None)
     waits = {} if patience is None else {"patience": patience}
     table_waits = {} if patience is None else {"table_patience": patience / 2}
     nodes: dict[str, dict[str, Any]] = {
@@ -59,6 +68,7 @@ def node_options(
         "seed": plan.seed,
         "out": str(out) if out else "",
         **waits,
+        **into,
     }
     return nodes
 
@@ -78,6 +88,8 @@ class Graph:
         *,
         namespace: str = "",
         patience: float | None = PATIENCE_S,
+        bag: BagOptions | None = None,
+        world: World | None = None,
         context: Any = None,
     ) -> None:
         """Make the nodes; nothing runs before ``run``.
@@ -87,6 +99,8 @@ class Graph:
             out: folder for the record and the table; nowhere for None.
             namespace: of all nodes: another one is another robot.
             patience: wall seconds to wait for anybody; each node's own default for None.
+            bag: where to record the run to; nowhere for None.
+            world: to run in; the one that the plan names for None.
             context: an initialised rclpy context; one of its own for None.
 
         Raises:
@@ -120,7 +134,7 @@ class Graph:
         self._executor = EventsExecutor(context=context)
         makers = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
         try:
-            for name, options in node_options(plan, out, patience).items():
+            for name, options in node_options(plan, out, patience, bag).items():
                 make = makers.get(name, LegNode)
                 given = {
                     f"{group}.{field}": value
@@ -132,6 +146,7 @@ class Graph:
                     namespace=namespace,
                     parameter_overrides=[Parameter(n, value=v) for n, v in given.items()],
                     **({"node_name": name} if make is LegNode else {}),
+                    **({"world": world} if make is SimNode else {}),
                 )
                 self.nodes[name] = node
                 self._executor.add_node(node)
@@ -190,6 +205,7 @@ class Processes:
         *,
         namespace: str = "",
         patience: float | None = PATIENCE_S,
+        bag: BagOptions | None = None,
     ) -> None:
         """Start the processes.
 
@@ -198,6 +214,7 @@ class Processes:
             out: folder for the record, the table, the parameters, and a log a node in ``log``.
             namespace: of all nodes.
             patience: wall seconds to wait for anybody; each node's own default for None.
+            bag: where to record the run to; nowhere for None.
         """
         prepare_environment()
         self.out = out
@@ -205,7 +222,7 @@ class Processes:
         self._logs.mkdir(parents=True, exist_ok=True)
         params = out / "params.yaml"
         params.write_text(dump_params(plan.params), encoding="utf-8")
-        nodes = node_options(plan, out, patience)
+        nodes = node_options(plan, out, patience, bag)
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         try:
             for name, options in nodes.items():
@@ -276,11 +293,9 @@ class Processes:
 
 
 @contextmanager
-def processes(
-    plan: Plan, out: Path, *, namespace: str = "", patience: float | None = PATIENCE_S
-) -> Iterator[Processes]:
-    """Run a plan as processes for as long as the block lasts."""
-    running = Processes(plan, out, namespace=namespace, patience=patience)
+def processes(plan: Plan, out: Path, **options: Any) -> Iterator[Processes]:
+    """Run a plan as ``Processes`` with these options for as long as the block lasts."""
+    running = Processes(plan, out, **options)
     try:
         yield running
     finally:

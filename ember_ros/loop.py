@@ -32,6 +32,29 @@ class Observer(Protocol):
         ...
 
 
+def act(shared: SharedTable, leg: LegModule, sense: LegSense, phase: Phase) -> LegCommand:
+    """Let a leg have its tick, between the two ends of its epoch."""
+    upto = leg.copy.pull_due(sense.tick)
+    if upto is not None:
+        leg.copy.take(shared.pull(leg.copy.version, upto), upto)
+    command = leg.tick(sense, phase)
+    if leg.copy.close_epoch(sense.tick):
+        _push(shared, leg)
+    return command
+
+
+def hand_in(shared: SharedTable, leg: LegModule, last_tick: int) -> None:
+    """Let a leg push what it learnt since its last epoch ended."""
+    leg.copy.close_epoch(last_tick, early=True)
+    _push(shared, leg)
+
+
+def _push(shared: SharedTable, leg: LegModule) -> None:
+    while (push := leg.copy.push_due()) is not None:
+        shared.push(push)
+        leg.copy.acknowledged(push)
+
+
 class Loop:
     """One robot: a world, a central pattern generator, legs, and the table they share."""
 
@@ -63,38 +86,23 @@ class Loop:
         """The present tick."""
         self._tick_ns = params.gait.tick_ns
 
-    def tick(self, observer: Observer | None = None) -> None:
+    def tick(self, *observers: Observer) -> None:
         """Run one tick of the whole machine."""
         senses = self.world.observe()
         phase = self.cpg.phase(self.now * self._tick_ns)
         commands = [
-            self._act(leg, sense, phase) for leg, sense in zip(self.legs, senses, strict=True)
+            act(self.shared, leg, sense, phase)
+            for leg, sense in zip(self.legs, senses, strict=True)
         ]
-        if observer is not None:
+        for observer in observers:
             observer.tick(phase, senses, commands, self.world.body())
         self.world.step(phase, commands)
         self.now += 1
 
-    def _act(self, leg: LegModule, sense: LegSense, phase: Phase) -> LegCommand:
-        """Let a leg have its tick, between the two ends of its epoch."""
-        upto = leg.copy.pull_due(sense.tick)
-        if upto is not None:
-            leg.copy.take(self.shared.pull(leg.copy.version, upto), upto)
-        command = leg.tick(sense, phase)
-        if leg.copy.close_epoch(sense.tick):
-            self._push(leg)
-        return command
-
-    def _push(self, leg: LegModule) -> None:
-        while (push := leg.copy.push_due()) is not None:
-            self.shared.push(push)
-            leg.copy.acknowledged(push)
-
     def finish(self) -> Table:
         """End the run: bring what every leg has learnt into the shared table, and return it."""
         for leg in self.legs:
-            leg.copy.close_epoch(self.now - 1, early=True)
-            self._push(leg)
+            hand_in(self.shared, leg, self.now - 1)
         self.shared.merge()
         return self.shared.table
 

@@ -35,6 +35,11 @@ OPTIONS = {
     "patience": Option(1.0, "wall seconds to wait for a leg, s"),
     "table_patience": Option(0.4, "wall seconds a leg waits for the table, s"),
     "out": Option("", "folder for the record of the run; '' for none"),
+    "bag": Option("", "folder of a new bag to record the run into; '' for none"),
+    "storage": Option("mcap", "what the bag is stored as", ("mcap", "sqlite3")),
+    "split_mb": Option(0.0, "megabytes after which the bag begins a new file; 0: never"),
+    "split_s": Option(0.0, "simulated seconds after which it does; 0: never"),
+    "all_robots": Option(False, "record every robot on the graph, not only this namespace's"),
     "seed": Option(0, "seed of the run; each drawer has its own generator"),
     "leg": Option("", "the leg that this node is", ()),
     "stage": Option("walk", "which learning numbers hold", ("walk", "train")),
@@ -45,6 +50,14 @@ OPTIONS = {
     "save": Option("", "where the table is written on exit and by table/save; '' for nowhere"),
 }
 """Every option of every node, once."""
+LEAST = {
+    "cycles": -1,
+    "seed": 0,
+    "patience": 0,
+    "table_patience": 0,
+    "split_mb": 0,
+    "split_s": 0,
+}
 
 _ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
@@ -115,7 +128,7 @@ def declare_options(node: Node, names: Sequence[str], **defaults: Any) -> dict[s
             )
         if option.choices and value not in option.choices:
             raise ParameterError(f"{name} = {value!r} must be one of {', '.join(option.choices)}")
-        least = {"cycles": -1, "seed": 0, "patience": 0, "table_patience": 0}.get(name)
+        least = LEAST.get(name)
         if least is not None and not value >= least:  # NaN is not
             raise ParameterError(f"{name} = {value!r} must be {least} or more: {option.doc}")
         _set(node, name, value, ParameterDescriptor(description=option.doc, read_only=True))

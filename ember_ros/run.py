@@ -11,16 +11,16 @@ processes one process a node, as seven ``ros2 run`` would
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
-import platform
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import ember_ros
-from ember_ros.errors import EmberError, ParameterError
+from ember_ros.bag.card import Card
+from ember_ros.bag.recording import Recording
+from ember_ros.bag.storage import BagOptions, BagWriter, seal
+from ember_ros.errors import BagError, EmberError, ParameterError
 from ember_ros.params import params_sha256
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import (
@@ -32,6 +32,7 @@ from ember_ros.report.recorder import (
     Recorder,
     load_record,
 )
+from ember_ros.versions import versions
 from leg_node.journal import ENDINGS
 from leg_node.table import load_table, save_table
 
@@ -43,7 +44,7 @@ GoOn = Callable[[int, int], bool]
 
 
 def run(
-    plan: Plan, way: str, out: Path, go_on: GoOn, command: str
+    plan: Plan, way: str, out: Path, go_on: GoOn, command: str, bag: BagOptions | None = None
 ) -> tuple[Record, dict[str, Any]]:
     """Run a plan to its end, or until ``go_on`` says no, and write what came of it.
 
@@ -55,6 +56,7 @@ def run(
         out: a folder, made if need be.
         go_on: progress and stop.
         command: what was typed, for the summary.
+        bag: where to record the run to; nowhere for None.
 
     Returns:
         The record and the summary.
@@ -64,6 +66,10 @@ def run(
     """
     if plan.table:
         load_table(plan.table, plan.params)  # say what is wrong with it before anything starts
+    if bag is not None and bag.folder.exists():
+        raise BagError(
+            f"{bag.folder} is there already, and a bag is never written over; give another --bag"
+        )
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -73,7 +79,7 @@ def run(
         old.append(TABLE)  # or the table node would go on from it
     for name in old:
         (out / name).unlink(missing_ok=True)
-    {"loop": _loop, "graph": _graph, "processes": _processes}[way](plan, out, go_on)
+    {"loop": _loop, "graph": _graph, "processes": _processes}[way](plan, out, go_on, bag)
     record = load_record(out)
     ticks = plan.cycles * plan.params.gait.ticks
     summary = {
@@ -90,45 +96,50 @@ def run(
         "params_sha256": params_sha256(plan.params),
         "versions": versions(),
     }
+    # A graph that is stopped leaves open which legs had the last tick: then nobody can say which
+    # table a replay must end with.
+    if bag is not None and (summary["complete"] or way == "loop"):
+        seal(bag.folder, table_sha256=summary["table_sha256"])
     (out / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return record, summary
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of what a run's bits depend on."""
-    found = {"ember_ros": ember_ros.__version__, "python": platform.python_version()}
-    for name in ("numpy", "pybullet", "rclpy"):
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
-
-
-def _loop(plan: Plan, out: Path, go_on: GoOn) -> None:
-    from ember_ros.loop import Loop
+def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> None:
+    from ember_ros.loop import Loop, Observer
 
     loop = Loop(plan)
     recorder = Recorder(plan.params, plan.legs, out)
+    observers: list[Observer] = [recorder]
+    writer, recording = None, None
+    if bag is not None:
+        writer = BagWriter(bag)
+        card = Card.of_plan(plan, loop.shared.table, versions())
+        recording = Recording(writer, card, loop.shared.table)
+        observers.append(recording)
     try:
         for cycle in range(plan.cycles):
             if not go_on(cycle, loop.world.body().falls):
                 break
             for _ in range(plan.params.gait.ticks):
-                loop.tick(recorder)
+                loop.tick(*observers)
+        if writer is not None and recording is not None:
+            recording.finish()
+            writer.close()
     finally:
         save_table(out / TABLE, loop.finish(), plan.params, plan.seed)
         recorder.finish(loop.world.observe(), loop.world.body())
+        if writer is not None:
+            writer.abandon()  # does nothing to one that was closed
         loop.close()
 
 
-def _graph(plan: Plan, out: Path, go_on: GoOn) -> None:
+def _graph(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> None:
     try:
         from ember_ros.graph import Graph
 
-        graph = Graph(plan, out)
+        graph = Graph(plan, out, bag=bag)
     except ModuleNotFoundError as error:
-        raise _no_ros(error) from error
+        raise no_ros(error) from error
     try:
         tally = _Tally(out / CYCLES)
         graph.run(lambda: go_on(*tally.read()))
@@ -136,19 +147,20 @@ def _graph(plan: Plan, out: Path, go_on: GoOn) -> None:
         graph.close()
 
 
-def _processes(plan: Plan, out: Path, go_on: GoOn) -> None:
+def _processes(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> None:
     try:
         import rclpy  # noqa: F401  say it here, not in seven logs
 
         from ember_ros.graph import processes
     except ModuleNotFoundError as error:
-        raise _no_ros(error) from error
+        raise no_ros(error) from error
     tally = _Tally(out / CYCLES)
-    with processes(plan, out) as running:
+    with processes(plan, out, bag=bag) as running:
         running.wait(lambda: go_on(*tally.read()))
 
 
-def _no_ros(error: ModuleNotFoundError) -> EmberError:
+def no_ros(error: ModuleNotFoundError) -> EmberError:
+    """Return the error for a missing ROS; one of our own that is missing is raised as it is."""
     if error.name and error.name.split(".")[0] in ("ember_ros", "leg_node", "sim_node", "cpg_node"):
         raise error
     return ParameterError(

@@ -14,6 +14,10 @@ name                       type                        carries
 ``odometry``               nav_msgs/Odometry           the body's pose, for viewers and bags
 ``diagnostics``            diagnostic_msgs/            who is absent, what was refused
                            DiagnosticArray
+``run/card``               std_msgs/String             in bags only: what determined the run
+``run/values``             std_msgs/Float64MultiArray  in bags only: the table at the start
+``run/visits``             std_msgs/Int64MultiArray    the same, how often each cell was visited
+``run/crc``                std_msgs/UInt32MultiArray   in bags only: CRC-32 of each leg's senses
 ``table/push`` (service)   rcl_interfaces/             a leg's pairs of one epoch
                            SetParametersAtomically
 ``table/pull`` (service)   rcl_interfaces/             the table, or what changed in it
@@ -105,6 +109,11 @@ PHASE = Topic("cpg/phase", "std_msgs/msg/Float64")
 FALLS = Topic("falls", "std_msgs/msg/Int64")
 ODOMETRY = Topic("odometry", "nav_msgs/msg/Odometry")
 DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+
+CARD = Topic("run/card", "std_msgs/msg/String")
+VALUES = Topic("run/values", "std_msgs/msg/Float64MultiArray")
+VISITS = Topic("run/visits", "std_msgs/msg/Int64MultiArray")
+CRC = Topic("run/crc", "std_msgs/msg/UInt32MultiArray")
 
 PUSH = Service("table/push", "rcl_interfaces/srv/SetParametersAtomically")
 PULL = Service("table/pull", "rcl_interfaces/srv/GetParameters")

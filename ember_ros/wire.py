@@ -369,6 +369,94 @@ def read_odometry(data: Bytes, where: str) -> tuple[int, tuple[float, ...]]:
     return ns, (*pose[:3], *euler(*pose[3:]))
 
 
+# -- what only bags carry --------------------------------------------------------------------
+
+
+def pack_text(text: str) -> bytes:
+    """Return a std_msgs/String."""
+    return CDR + _string(b"", text)
+
+
+def read_text(data: Bytes, where: str) -> str:
+    """Return the text in a std_msgs/String.
+
+    Raises:
+        SignalError: it is none.
+    """
+    data = bytes(data)
+    if data[:4] != CDR or len(data) < 8:
+        raise SignalError(f"{where}: {len(data)} bytes are no String")
+    (length,) = struct.unpack_from("<I", data, 4)
+    try:
+        return data[8 : 8 + length].decode().removesuffix("\0")
+    except UnicodeDecodeError as error:
+        raise SignalError(f"{where}: the text is no UTF-8") from error
+
+
+_WIDTHS = {"d": 8, "q": 8, "I": 4}
+
+
+def pack_array(
+    code: str, labels: Sequence[str], shape: Sequence[int], numbers: bytes, offset: int = 0
+) -> bytes:
+    """Return a std_msgs/Float64MultiArray, Int64MultiArray or UInt32MultiArray.
+
+    Args:
+        code: of a number, as ``struct`` names it: ``d``, ``q`` or ``I``.
+        labels: of the dimensions.
+        shape: their sizes; strides are as std_msgs wants them, row-major.
+        numbers: all, little endian; ``offset`` of them stand before the array.
+        offset: ``layout.data_offset``.
+    """
+    data = struct.pack("<I", len(shape))
+    for n, (label, size) in enumerate(zip(labels, shape, strict=True)):
+        data = _padded(_string(data, label), 4)
+        data += struct.pack("<II", size, math.prod(shape[n:]))
+    data += struct.pack("<II", offset, len(numbers) // _WIDTHS[code])
+    return CDR + _padded(data, _WIDTHS[code]) + numbers
+
+
+def read_array(data: Bytes, code: str, where: str) -> tuple[tuple[int, ...], bytes, bytes]:
+    """Return the shape, the numbers before the array, and those of the array, little endian.
+
+    Raises:
+        SignalError: it is no such array.
+    """
+    data, width = bytes(data)[4:] if data[:4] == CDR else b"", _WIDTHS[code]
+    try:
+        (dims,) = struct.unpack_from("<I", data, 0)
+        at, shape = 4, []
+        for _ in range(dims):
+            (length,) = struct.unpack_from("<I", data, at)
+            at += 4 + length
+            at += -at % 4
+            shape.append(struct.unpack_from("<II", data, at)[0])
+            at += 8
+        offset, count = struct.unpack_from("<II", data, at)
+        at += 8
+        at += -at % width
+    except struct.error as error:
+        raise SignalError(f"{where}: {len(data)} bytes are no array") from error
+    numbers = data[at : at + width * count]
+    if len(numbers) != width * count or count != offset + math.prod(shape):
+        raise SignalError(
+            f"{where}: {len(numbers) // width} numbers; {offset} and {shape} would be right"
+        )
+    return tuple(shape), numbers[: width * offset], numbers[width * offset :]
+
+
+def stamp_of(data: Bytes, where: str) -> int:
+    """Return the stamp, ns, of any message that begins with a std_msgs/Header.
+
+    Raises:
+        SignalError: it is too short, or not plain little-endian CDR.
+    """
+    if len(data) < _CLOCK.size or data[:4] != CDR:
+        raise SignalError(f"{where}: {len(data)} bytes have no stamp in plain little-endian CDR")
+    _, sec, nanosec = _CLOCK.unpack_from(data)
+    return int(sec * GIGA + nanosec)
+
+
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
     """Return x, y, z, w of a rotation given as roll, pitch and yaw about fixed axes, rad."""
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)

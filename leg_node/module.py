@@ -39,7 +39,7 @@ class LegModule:
         *,
         stage: str = "walk",
         seed: int = 0,
-        policy: str = "learned",
+        policy: str | Policy = "learned",
         learning: bool = True,
         shared: bool = True,
         table: Table | None = None,
@@ -54,7 +54,7 @@ class LegModule:
             leg: one of ``LEGS``, or ``TRAINER_LEG``.
             stage: which learning numbers hold, ``train`` or ``walk``.
             seed: of the run; each leg draws from its own generator.
-            policy: ``learned``, ``scripted`` or ``random``.
+            policy: ``learned``, ``scripted`` or ``random``, or one of your own.
             learning: whether the table changes.
             shared: whether the table is shared with other legs, or this leg's own.
             table: what was learnt before, owned by this leg from now on; empty for None.
@@ -72,7 +72,7 @@ class LegModule:
             )
         if stage not in ("train", "walk"):
             raise ParameterError(f"there is no stage {stage!r}; it is train or walk")
-        if policy not in POLICIES:
+        if isinstance(policy, str) and policy not in POLICIES:
             raise ParameterError(f"there is no policy {policy!r}; it is {', '.join(POLICIES)}")
         self.leg = leg
         self.position = LEGS.index(leg) if leg in LEGS else 0
@@ -102,7 +102,9 @@ class LegModule:
         self._tick_s = params.gait.tick_s
         self._pending: _Pending | None = None
 
-    def _make_policy(self, name: str, numbers: Learning, seed: int) -> Policy:
+    def _make_policy(self, name: str | Policy, numbers: Learning, seed: int) -> Policy:
+        if not isinstance(name, str):
+            return name
         rng = generator(seed, self.position)
         actions = len(self._params.leg.knee_speeds)
         if name == "scripted":

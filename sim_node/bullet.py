@@ -80,6 +80,7 @@ class BulletWorld(ABC):
     """
 
     legs: tuple[str, ...]
+    over = False
     body_joints: tuple[str, ...] = ()
     """Joints that no leg owns, read with the legs' joints in one call into ``_body_joints``."""
     body_links: tuple[str, ...] = ()

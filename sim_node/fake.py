@@ -35,6 +35,8 @@ class _Foot(NamedTuple):
 class FakeWorld:
     """Legs that are held at one height over ground that passes under them."""
 
+    over = False
+
     def __init__(
         self,
         legs: Sequence[str] = LEGS,

@@ -13,6 +13,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from ember_ros import topics, wire
+from ember_ros.bag.inquiry import Inquiry
+from ember_ros.bag.recording import Recording
+from ember_ros.bag.storage import BagOptions, BagWriter
 from ember_ros.errors import SignalError
 from ember_ros.plan import legs_of, make_world
 from ember_ros.report.recorder import Recorder
@@ -22,6 +25,7 @@ from ember_ros.spinning import main_of
 from sim_node.world import World
 
 WATCH_S = 0.05  # wall time between looks at who is late
+ANSWER_S = 5.0  # least wall time to wait for nodes to say what they were told
 SAY_S = 5.0  # wall time between two lines of the log on one matter
 
 
@@ -38,7 +42,8 @@ class SimNode(Node):  # type: ignore[misc]
     (sensor_msgs/JointState), ``falls`` (std_msgs/Int64), ``odometry`` (nav_msgs/Odometry),
     ``diagnostics`` (diagnostic_msgs/DiagnosticArray).
     Parameters: ``gait.*``, ``leg.*``, ``physics.*``, ``trainer.*``, ``walker.*``, ``reward.*``;
-    ``world``, ``mode``, ``gui``, ``cycles``, ``patience``, ``out``, ``seed``.
+    ``world``, ``mode``, ``gui``, ``cycles``, ``patience``, ``out``, ``seed``; ``bag``, ``storage``,
+    ``split_mb``, ``split_s`` to record a bag: nobody else hears every tick for sure.
     """
 
     def __init__(self, world: World | None = None, **kwargs: Any) -> None:
@@ -50,13 +55,18 @@ class SimNode(Node):  # type: ignore[misc]
 
         Raises:
             ParameterError: a parameter is unknown or out of range, or PyBullet is missing.
+            BagError: the bag cannot be made.
         """
         super().__init__("sim_node", automatically_declare_parameters_from_overrides=True, **kwargs)
         self.done = False
         params = declare_params(self, ("gait", "leg", "physics", "trainer", "walker", "reward"))
         options = declare_options(
-            self, ("world", "mode", "gui", "cycles", "patience", "out", "seed")
-        )
+            self,
+            (
+                "world", "mode", "gui", "cycles", "patience", "out", "seed",
+                "bag", "storage", "split_mb", "split_s",
+            ),
+        )  # fmt: skip
         self.world = world or make_world(
             options["world"], params, options["seed"], gui=options["gui"]
         )
@@ -64,6 +74,14 @@ class SimNode(Node):  # type: ignore[misc]
         self.recorder = Recorder(
             params, self.legs, Path(options["out"]) if options["out"] else None
         )
+        self._kind: str = options["world"]
+        self._bag: BagWriter | None = None
+        self._recording: Recording | None = None
+        if options["bag"]:
+            given = (options[name] for name in BagOptions._fields[1:])
+            self._bag = BagWriter(BagOptions(Path(options["bag"]), *given))
+            self._inquiry = Inquiry(self, self.get_namespace())
+            self._asked: float | None = None
         self.refused = 0
         self._realtime = options["mode"] == "realtime"
         self._patience = options["patience"]
@@ -95,6 +113,11 @@ class SimNode(Node):  # type: ignore[misc]
             self.create_timer(params.gait.tick_s, self._every_tick)
         else:
             self.create_timer(WATCH_S, self._watch)
+
+    @property
+    def tick(self) -> int:
+        """Return the present tick: how many are done."""
+        return self._tick
 
     # -- hearing -----------------------------------------------------------------------------
 
@@ -173,8 +196,7 @@ class SimNode(Node):  # type: ignore[misc]
                 )
             self._falls = body.falls
             self._falls_publisher.publish(wire.pack_falls(body.falls))
-        if self._odometry.get_subscription_count():
-            self._odometry.publish(wire.pack_odometry(ns, body))
+        self._odometry.publish(wire.pack_odometry(ns, body))
         if self._tick % self._ticks == 0:
             self._diagnose()
 
@@ -189,10 +211,13 @@ class SimNode(Node):  # type: ignore[misc]
         """Advance the world by the present tick, and begin the next one."""
         assert self._phase is not None
         commands = [self._commands.get(leg) for leg in self.legs]
-        self.recorder.tick(self._phase, self.world.observe(), commands, self.world.body())
+        senses, body = self.world.observe(), self.world.body()
+        self.recorder.tick(self._phase, senses, commands, body)
+        if self._recording is not None:
+            self._recording.tick(self._phase, senses, commands, body)
         self.world.step(self._phase, commands)
         self._tick += 1
-        if self._tick >= self._last:
+        if self._tick >= self._last or self.world.over:
             self.done = True
             self._started = False
         else:
@@ -219,6 +244,8 @@ class SimNode(Node):  # type: ignore[misc]
             if time.monotonic() - self._since > self._patience:
                 self._say("start", f"waiting for {', '.join(missing)}")
             return
+        if self._bag is not None and not self._begin_bag(self._bag):
+            return
         if self.count_publishers(topics.CLOCK.name) > 1:
             self.get_logger().warning(
                 "another sim_node publishes the same clock: give one of them a namespace "
@@ -226,6 +253,22 @@ class SimNode(Node):  # type: ignore[misc]
             )
         self._started = True
         self._publish()
+
+    def _begin_bag(self, bag: BagWriter) -> bool:
+        """Ask what determines the run; begin to record, and return True, when all have answered.
+
+        Who does not answer within ``patience`` is not one of our nodes, and is not waited for.
+        """
+        now = time.monotonic()
+        if self._asked is None:
+            self._asked = now
+        if self._inquiry.ask() and now - self._asked < max(self._patience, ANSWER_S):
+            return False
+        card, table, wrong = self._inquiry.card(self._kind, 0)
+        for why in wrong:
+            self.get_logger().warning(f"the bag cannot be replayed: {why}")
+        self._recording = Recording(bag, card, table, namespace=self.get_namespace())
+        return True
 
     def _watch(self) -> None:
         """In lockstep: begin when all are there; declare absent who is late."""
@@ -298,9 +341,15 @@ class SimNode(Node):  # type: ignore[misc]
         """Stop stepping and end the record."""
         self.done, self._started = True, False
         self.recorder.finish(self.world.observe(), self.world.body())
+        if self._bag is not None:
+            if self._recording is not None:
+                self._recording.finish()
+            self._bag.close()
 
     def destroy_node(self) -> None:
-        """Destroy the node and let go of the world."""
+        """Destroy the node and let go of the world; a bag that was not finished is cut off."""
+        if self._bag is not None:
+            self._bag.abandon()
         self.world.close()
         super().destroy_node()
 

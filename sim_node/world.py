@@ -16,6 +16,8 @@ class World(Protocol):
     """
 
     legs: tuple[str, ...]
+    over: bool
+    """True when there is no further tick: a recorded world ends, a simulated one never does."""
 
     def observe(self) -> tuple[LegSense, ...]:
         """Return what each leg senses at the present tick; calling twice gives the same."""

@@ -13,16 +13,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 
 from ember_ros import topics
+from ember_ros.bag.reading import Bag
 
 if TYPE_CHECKING:
     from test.conftest import Ros
 
-NODES = ("sim_node", "leg_node", "cpg_node", "table_node")
+NODES = ("sim_node", "leg_node", "cpg_node", "table_node", "recorder_node")
 ARGUMENTS = {
     "sim_node": ("-p", "world:=trainer"),
     "leg_node": ("-p", "leg:=leg", "-p", "stage:=train"),
     "cpg_node": ("-p", "gait.period:=0.5"),
     "table_node": ("-p", "stage:=train"),
+    "recorder_node": ("-p", "split_s:=1.0"),
 }
 STOP_S = 30.0
 
@@ -51,7 +53,7 @@ def executables(prefix: Path) -> dict[str, Path]:
 
 
 def test_ros2_run_offers_the_nodes_and_nothing_else(prefix: Path) -> None:
-    """The marker, package.xml, launch files and four executables lie where ROS looks for them."""
+    """The marker, package.xml, launch files and five executables lie where ROS looks for them."""
     assert sorted(executables(prefix)) == sorted(NODES)
     share = prefix / "share" / "ember_ros"
     assert (share / "package.xml").is_file()
@@ -96,16 +98,18 @@ def test_nodes_walk_as_one_robot_and_stop_with_a_signal(
 ) -> None:
     """Started with parameters and a namespace they are a robot; stopped, all end with 0 in silence.
 
-    With SIGINT and with SIGTERM, at home and without one.
+    With SIGINT and with SIGTERM, at home and without one. The recorder's bag is closed well.
     """
     files = executables(prefix)
     number = signal.SIGTERM if homeless else signal.SIGINT
     namespace = "robot_2" if homeless else "robot_1"
     home: dict[str, Any] = {"HOME": None, "ROS_LOG_DIR": None, "ROS_HOME": None} if homeless else {}
     home["TMPDIR"] = str(tmp_path)
+    bag = tmp_path / "bag"
+    arguments = ARGUMENTS | {"recorder_node": (*ARGUMENTS["recorder_node"], "-p", f"bag:={bag}")}
     running = {
         name: start(
-            files[name], "--ros-args", *ARGUMENTS[name], "-r", f"__ns:=/{namespace}", **home
+            files[name], "--ros-args", *arguments[name], "-r", f"__ns:=/{namespace}", **home
         )
         for name in NODES
     }
@@ -119,7 +123,7 @@ def test_nodes_walk_as_one_robot_and_stop_with_a_signal(
             ),
             "the robot walks",
         )
-        for name in ("sim_node", "leg_node", "cpg_node", "table_node"):
+        for name in NODES:
             running[name].send_signal(number)
         ends = {name: ended(process) for name, process in running.items()}
     finally:
@@ -131,12 +135,16 @@ def test_nodes_walk_as_one_robot_and_stop_with_a_signal(
         assert end.code == 0, f"{name}: {end.error}"
         for word in ("Traceback", "KeyboardInterrupt", "Exception"):
             assert word not in end.error + end.out, f"{name}: {end.error}"
+    with Bag(bag) as recorded:
+        assert recorded.robots() == [namespace]
+        assert sum(1 for _ in recorded.ticks()) > 0
 
 
 WRONG = {
     "out of range": ("cpg_node", ("-p", "gait.period:=-1.0"), "gait.period = -1.0 is out of range"),
     "unknown": ("table_node", ("-p", "gait.perod:=0.5"), "did you mean gait.period"),
     "wrong type": ("sim_node", ("-p", "world:=7"), "world = 7 must be"),
+    "no bag": ("recorder_node", (), "-p bag:=DIR"),
     "no leg": ("leg_node", (), "front_left"),
     "no table": ("table_node", ("-p", "table:=/no/such.npz"), "/no/such.npz"),
     "no ROS argument": ("cpg_node", ("-p", "gait.period"), "gait.period"),

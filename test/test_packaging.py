@@ -29,7 +29,7 @@ else:
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ROOT / "ember_ros" / "launch"
 WRAPPERS = ROOT / "ember_ros" / "resource" / "lib"
-NODES = ("cpg_node", "leg_node", "sim_node", "table_node")
+NODES = ("cpg_node", "leg_node", "recorder_node", "sim_node", "table_node")
 
 # Names under which rosdep knows what pip and Python call otherwise.
 ROSDEP = {
@@ -322,11 +322,14 @@ def values(parameters: dict[str, Any]) -> dict[str, Any]:
 @pytest.mark.usefixtures("recorded_launch")
 @pytest.mark.parametrize(("world", "legs"), [("walker", LEGS), ("trainer", (TRAINER_LEG,))])
 def test_launch_starts_the_whole_graph(world: str, legs: tuple[str, ...]) -> None:
-    """One sim, one generator, one table, and every leg of that world under a name of its own."""
+    """One sim, one generator, one table, and every leg of that world under a name of its own.
+
+    No recorder: the world itself records if it is given a bag.
+    """
     nodes = launch_nodes(world=world)
     executables = {name: node["executable"] for name, node in nodes.items()}
     assert executables == {
-        **{node: node for node in NODES if node != "leg_node"},
+        **{node: node for node in NODES if node not in ("leg_node", "recorder_node")},
         **{f"leg_{leg}": "leg_node" for leg in legs},
     }
     assert {node["package"] for node in nodes.values()} == {"ember_ros"}
@@ -346,6 +349,7 @@ def test_launch_arguments_reach_the_nodes() -> None:
         cycles="7",
         seed="3",
         gui="true",
+        bag="b",
     )
     assert {node["namespace"] for node in nodes.values()} == {"robot"}
     assert {node["parameters"][0] for node in nodes.values()} == {"p.yaml"}
@@ -354,6 +358,7 @@ def test_launch_arguments_reach_the_nodes() -> None:
         "cycles": ("7", int),
         "seed": ("3", int),
         "gui": ("true", bool),
+        "bag": ("b", str),
     }
     assert values(nodes["table_node"]["parameters"][1]) == {
         "stage": "walk",

@@ -16,7 +16,8 @@ from typing import Any
 from ember_ros.params import Params, replace
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import Record
-from ember_ros.run import TABLE, run, versions
+from ember_ros.run import TABLE, run
+from ember_ros.versions import versions
 
 TILT_RAD, LOW_M = 0.3, 0.36
 """A cycle with more tilt or lower hips than this is counted as outside, fall or no fall."""

@@ -25,6 +25,7 @@ ARGUMENTS = {
     "cycles": ("", "stop after so many cycles of the pattern generator" + UNSET),
     "seed": ("", "seed of the world and the legs" + UNSET),
     "gui": ("", "show PyBullet's window" + UNSET),
+    "bag": ("", "folder of a new bag to record the run into; empty: none"),
     "mode": ("", "lockstep: wait for all commands; realtime: never" + UNSET),
 }
 
@@ -60,7 +61,7 @@ def start(context: LaunchContext) -> list[Node]:
         node(
             "sim_node",
             "sim_node",
-            given(world=str, cycles=int, seed=int, gui=bool, mode=str),
+            given(world=str, cycles=int, seed=int, gui=bool, mode=str, bag=str),
             on_exit=[Shutdown(reason="the world has ended")],
         ),
         node("cpg_node", "cpg_node", {}),

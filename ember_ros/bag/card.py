@@ -1,0 +1,155 @@
+"""What determined a run, in one message: enough to run it again. Pure."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ember_ros.errors import BagError, ParameterError
+from ember_ros.params import Params, as_dict, params_sha256, replace
+from ember_ros.plan import Plan, legs_of
+from leg_node.table import Table
+
+FORMAT = 1
+"""Of the card; a reader knows its own and all before."""
+
+
+class LegCard(NamedTuple):
+    """What one leg was told."""
+
+    stage: str
+    seed: int
+    policy: str
+    learning: bool
+    shared: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Card:
+    """Everything that determined a run but the senses themselves and the table at its start."""
+
+    world: str
+    legs: Mapping[str, LegCard]
+    """What each leg was told, by its name and in order; a leg of others' making is not here."""
+    params: Params
+    start_table_sha256: str | None
+    """Of the table at the start; None where nobody knew it."""
+    first_tick: int
+    """The first tick in the bag: another than 0 has no beginning to be replayed from."""
+    versions: Mapping[str, str]
+
+    @classmethod
+    def of_plan(cls, plan: Plan, table: Table, versions: Mapping[str, str]) -> Card:
+        """Return the card of a plan that starts from ``table``."""
+        told = LegCard(plan.stage, plan.seed, plan.policy, plan.learning, True)
+        legs = dict.fromkeys(plan.legs, told)
+        return cls(plan.world, legs, plan.params, table.sha256(), 0, dict(versions))
+
+    def plan(self, cycles: int, table: Path | None) -> Plan:
+        """Return the plan that this run had.
+
+        Args:
+            cycles: of it.
+            table: where the table at its start lies now.
+
+        Raises:
+            BagError: the run had no plan that can be followed again; the message says why.
+        """
+        cannot = "this run cannot be replayed: "
+        if self.first_tick:
+            raise BagError(
+                f"{cannot}it was recorded from tick {self.first_tick} on, and what the legs knew "
+                "by then is in no message; start the recorder before the world"
+            )
+        if self.start_table_sha256 is None:
+            raise BagError(f"{cannot}the table at its start was not asked for in time")
+        missing = [leg for leg in legs_of(self.world) if leg not in self.legs]
+        if missing:
+            raise BagError(f"{cannot}nothing is known of {', '.join(missing)}: not legs of ours")
+        told = set(self.legs.values())
+        if len(told) > 1 or not all(each.shared for each in told):
+            raise BagError(
+                f"{cannot}its legs were told different things or shared no table: "
+                f"{ {leg: each._asdict() for leg, each in self.legs.items()} }"
+            )
+        (each,) = told
+        return Plan(
+            self.world,
+            cycles,
+            seed=each.seed,
+            params=self.params,
+            policy=each.policy,
+            learning=each.learning,
+            table=table,
+        )
+
+    def without_table(self) -> Card:
+        """Return the card of a run of which nobody knows what table it started from."""
+        return dataclasses.replace(self, start_table_sha256=None)
+
+    def to_json(self) -> str:
+        """Return the card as JSON."""
+        content = {
+            "format": FORMAT,
+            "world": self.world,
+            "legs": {leg: told._asdict() for leg, told in self.legs.items()},
+            "params": as_dict(self.params),
+            "params_sha256": params_sha256(self.params),
+            "start_table_sha256": self.start_table_sha256,
+            "first_tick": self.first_tick,
+            "versions": dict(self.versions),
+        }
+        return json.dumps(content)
+
+
+def read_card(text: str, where: str) -> Card:
+    """Return the card in a JSON text.
+
+    Raises:
+        BagError: it is none, or of a later format than this version knows.
+    """
+    try:
+        content = json.loads(text)
+        found = content["format"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise BagError(f"{where} is no card of a run: {error!r}") from error
+    if found != FORMAT:
+        raise BagError(
+            f"{where} is of format {found!r}, and this version knows {FORMAT}; a newer ember_ros "
+            "reads it"
+        )
+    try:
+        flat = {
+            f"{group}.{name}": value
+            for group, numbers in content["params"].items()
+            for name, value in numbers.items()
+        }
+        return Card(
+            world=_one_of(content["world"], ("walker", "trainer")),
+            legs={leg: _leg(told) for leg, told in content["legs"].items()},
+            params=replace(Params(), flat),
+            start_table_sha256=content["start_table_sha256"],
+            first_tick=int(content["first_tick"]),
+            versions=content["versions"],
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, ParameterError) as error:
+        raise BagError(f"{where} is no whole card of a run: {error!r}") from error
+
+
+def _leg(told: Mapping[str, Any]) -> LegCard:
+    return LegCard(
+        _one_of(told["stage"], ("train", "walk")),
+        int(told["seed"]),
+        str(told["policy"]),
+        bool(told["learning"]),
+        bool(told["shared"]),
+    )
+
+
+def _one_of(value: Any, choices: Sequence[str]) -> str:
+    if value not in choices:
+        raise ValueError(f"{value!r} is not {' or '.join(choices)}")
+    return str(value)

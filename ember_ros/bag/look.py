@@ -1,0 +1,199 @@
+"""What is in a bag: counts, gaps, provenance, a line a cycle and leg; and all as CSV. Pure."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ember_ros.bag.reading import Bag, Tick
+from ember_ros.bag.storage import read_metadata
+from ember_ros.errors import BagError
+from ember_ros.params import params_sha256
+from ember_ros.report.recorder import Recorder, Row
+from ember_ros.signals import BodyState, LegCommand, LegSense
+from leg_node.gait import LegGait
+from leg_node.reward import Rewarder
+from leg_node.state import Partition
+
+CYCLES_CSV, TICKS_CSV = "cycles.csv", "ticks.csv"
+MOST_GAPS = 20
+
+
+class Seen:
+    """What a pass through a bag has come by."""
+
+    def __init__(self, bag: Bag) -> None:
+        """Begin before the first tick."""
+        self.ticks = 0
+        self.first: int | None = None
+        self.last = -1
+        self.gaps: list[tuple[int, int]] = []
+        """First and last tick of each run of ticks that are not in the bag."""
+        self.no_senses = dict.fromkeys(bag.legs, 0)
+        self.no_command = dict.fromkeys(bag.legs, 0)
+        self.falls = 0
+        self._recorder = Recorder(bag.params, bag.legs)
+        self._whole: Tick | None = None
+        self._legs = bag.legs
+
+    def see(self, tick: Tick) -> None:
+        """Take the next tick."""
+        if self.first is None:
+            self.first = tick.tick
+        elif tick.tick != self.last + 1:
+            self.gaps.append((self.last + 1, tick.tick - 1))
+        self.ticks, self.last, self.falls = self.ticks + 1, tick.tick, tick.body.falls
+        for leg, sense, command in zip(self._legs, tick.senses, tick.commands, strict=True):
+            self.no_senses[leg] += sense is None
+            self.no_command[leg] += command is None
+        senses = [sense for sense in tick.senses if sense is not None]
+        if len(senses) < len(self._legs):
+            return
+        if self._whole is None or self._whole.tick + 1 != tick.tick:  # nothing to be credited
+            senses = [sense._replace(restart=True) for sense in senses]
+        self._recorder.tick(tick.phase, senses, tick.commands, tick.body)
+        self._whole = tick
+
+    def rows(self) -> list[Row]:
+        """Return a line a cycle and leg, and one for the body; nothing may be seen after."""
+        if self._whole is not None:
+            last = [sense._replace(restart=True) for sense in self._whole.senses if sense]
+            self._recorder.finish(last, self._whole.body)
+        return self._recorder.rows
+
+
+def info(bag: Bag) -> tuple[dict[str, Any], list[Row]]:
+    """Return what is in a bag as plain values, and a line a cycle and leg.
+
+    Raises:
+        BagError: the bag is damaged.
+    """
+    seen = Seen(bag)
+    for tick in bag.ticks():
+        seen.see(tick)
+    rows = seen.rows()
+    body = [row for row in rows if row.module == "body"]
+    found: dict[str, Any] = {
+        "bag": str(bag.path),
+        "namespace": "/" + bag.namespace,
+        "world": bag.world,
+        "messages": {t: int(c.msgcount) for t, c in sorted(bag.connections.items())},
+        "first_tick": seen.first,
+        "ticks": seen.ticks,
+        "seconds": seen.ticks * bag.params.gait.tick_s,
+        "cycles": seen.ticks / bag.params.gait.ticks,
+        "falls": seen.falls,
+        "distance_m": sum(row.distance_m or 0.0 for row in body),
+        "reward": sum(row.reward for row in body) / len(body) if body else None,
+        "lost_ticks": sum(last - first + 1 for first, last in seen.gaps),
+        "gaps": seen.gaps[:MOST_GAPS],
+        "ticks_without_senses": {leg: n for leg, n in seen.no_senses.items() if n},
+        "ticks_without_command": {leg: n for leg, n in seen.no_command.items() if n},
+        "stale_messages": bag.stale,
+        "damaged": [damage._asdict() for damage in bag.damages[:MOST_GAPS]],
+        "table_sha256": bag.table_sha256,
+    }
+    if bag.path.is_dir():
+        metadata = read_metadata(bag.path)
+        found["storage"] = metadata.get("storage_identifier")
+        files = metadata.get("relative_file_paths") or []
+        found["files"] = {name: (bag.path / name).stat().st_size for name in files}
+    if bag.card is not None:
+        found["card"] = {
+            "legs": {leg: told._asdict() for leg, told in bag.card.legs.items()},
+            "params_sha256": params_sha256(bag.card.params),
+            "start_table_sha256": bag.card.start_table_sha256,
+            "first_tick": bag.card.first_tick,
+            "versions": dict(bag.card.versions),
+        }
+    return found, rows
+
+
+TICK_COLUMNS = (
+    "tick",
+    "time_s",
+    "phase",
+    "leg",
+    "stance",
+    *LegSense._fields[1:],
+    "state",
+    "action",
+    *(f"command_{name}" for name in LegCommand._fields[1:]),
+    "reward",
+    *(f"body_{name}" for name in BodyState._fields),
+)
+"""Of ``ticks.csv``. Senses, state and body are at the start of the tick, command and action hold
+during it, the reward is of it, and is empty where its end was not sensed."""
+
+
+def write_csv(bag: Bag, folder: Path) -> list[Path]:
+    """Write ``cycles.csv`` (a line a cycle and leg) and ``ticks.csv`` (a line a tick and leg).
+
+    Returns:
+        The files.
+
+    Raises:
+        BagError: the bag is damaged, or the files are there already or cannot be written.
+    """
+    files = [folder / CYCLES_CSV, folder / TICKS_CSV]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (
+            files[0].open("x", newline="", encoding="utf-8") as cycles,
+            files[1].open("x", newline="", encoding="utf-8") as ticks,
+        ):
+            seen = Seen(bag)
+            lines = csv.writer(ticks)
+            lines.writerow(TICK_COLUMNS)
+            lines.writerows(_lines(bag, seen))
+            lines = csv.writer(cycles)
+            lines.writerow(Row._fields)
+            lines.writerows(seen.rows())
+    except FileExistsError as error:
+        raise BagError(f"{error.filename} is there already; give another --out") from error
+    except OSError as error:
+        raise BagError(f"cannot write into {folder}: {error.strerror}") from error
+    return files
+
+
+def _lines(bag: Bag, seen: Seen) -> Iterator[list[Any]]:
+    """Yield a line a tick and leg; a tick's reward is known one tick later."""
+    before: Tick | None = None
+    gaits = [LegGait(bag.params.gait, leg) for leg in bag.legs]
+    partition, rewarder = Partition(bag.params), Rewarder(bag.params)
+    speeds = {speed: n for n, speed in enumerate(bag.params.leg.knee_speeds)}
+
+    def of(tick: Tick, after: Tick | None) -> Iterator[list[Any]]:
+        follows = after is not None and after.tick == tick.tick + 1
+        for n, leg in enumerate(bag.legs):
+            sense, command, stance = tick.senses[n], tick.commands[n], gaits[n].stance(tick.phase)
+            then = after.senses[n] if after is not None and follows else None
+            credited = then is not None and not then.restart
+            yield [
+                tick.tick,
+                tick.tick * bag.params.gait.tick_s,
+                tick.phase,
+                leg,
+                int(stance),
+                *(map(_plain, sense[1:]) if sense else [""] * (len(LegSense._fields) - 1)),
+                partition.index(sense, stance) if sense else "",
+                speeds.get(command.knee_speed, "") if command else "",
+                *(command[1:] if command else [""] * (len(LegCommand._fields) - 1)),
+                rewarder(then, stance) if credited and then is not None else "",
+                *tick.body,
+            ]
+
+    for tick in bag.ticks():
+        seen.see(tick)
+        if before is not None:
+            yield from of(before, tick)
+        before = tick
+    if before is not None:
+        yield from of(before, None)
+
+
+def _plain(value: float | bool) -> float | int:
+    """Return a bit as 0 or 1: every column is a number."""
+    return int(value) if isinstance(value, bool) else value

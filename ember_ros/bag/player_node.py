@@ -1,0 +1,128 @@
+"""Says again what a bag holds, as fast as it was: for rviz, Foxglove, PlotJuggler, a live leg."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterator
+from typing import Any
+
+from rclpy.node import Node
+from std_srvs.srv import SetBool
+
+from ember_ros import topics
+from ember_ros.bag.reading import Bag, Raw
+from ember_ros.bag.recording import absolute
+from ember_ros.errors import BagError
+
+PAUSE = topics.Service("play/pause", "std_srvs/srv/SetBool")
+SHORTEST_S, LONGEST_S = 0.001, 0.05
+"""Wall time between two looks at what is due: about a tick, within these."""
+
+
+class PlayerNode(Node):  # type: ignore[misc]
+    """Publishes the topics of one robot in a bag under the names they were recorded with.
+
+    Publishes: all topics of the bag; ``/clock`` too if the robot's own is another.
+    Serves: ``play/pause`` (std_srvs/SetBool).
+    """
+
+    def __init__(
+        self,
+        bag: Bag,
+        *,
+        rate: float = 1.0,
+        start_s: float = 0.0,
+        paused: bool = False,
+        live: Collection[str] = (),
+        **kwargs: Any,
+    ) -> None:
+        """Make the node; it plays while it is spun.
+
+        Args:
+            bag: an open one.
+            rate: times the recorded speed.
+            start_s: simulated seconds to leave out at the beginning.
+            paused: whether to begin paused.
+            live: legs whose commands are left out, since live nodes say them; it begins when
+                these are there.
+            **kwargs: go to rclpy's ``Node``.
+
+        Raises:
+            BagError: a live leg is none of the bag's, or the bag ends before ``start_s``.
+        """
+        super().__init__("player_node", namespace=bag.namespace or None, **kwargs)
+        self.done = False
+        self.paused = paused
+        self.played = 0
+        """Messages that were published."""
+        self.seconds = start_s
+        """How far into the bag it is, in the bag's own time."""
+        for leg in live:
+            if leg not in bag.legs:
+                raise BagError(f"{bag.path} has no leg {leg!r}; it has {', '.join(bag.legs)}")
+        self._rate, self._live = rate, tuple(live)
+        self._origin = bag.start_ns
+        prefix = absolute(bag.namespace, "")
+        left_out = {absolute(bag.namespace, topics.command(leg).name) for leg in live}
+        self._publishers: dict[str, Any] = {}
+        for topic, connection in bag.connections.items():
+            if topic in left_out or not topic.startswith(prefix):
+                continue
+            try:
+                named = topics.Topic(topic, connection.msgtype)
+                self._publishers[topic] = named.publish(self)
+            except (ImportError, AttributeError):
+                self.get_logger().warning(
+                    f"{topic} is left out: there is no {connection.msgtype} in this environment"
+                )
+        self._clock = absolute(bag.namespace, topics.CLOCK.name)
+        self._also = None
+        if self._clock in self._publishers and self._clock != "/clock":
+            self._also = topics.Topic("/clock", topics.CLOCK.kind).publish(self)
+        self._messages: Iterator[Raw] = bag.raw(int(start_s * 1e9))
+        self._next = next(self._messages, None)
+        if self._next is None:
+            raise BagError(f"{bag.path} ends before {start_s} s")
+        self._hears = [
+            self._publishers[absolute(bag.namespace, topics.joint_states(leg).name)] for leg in live
+        ]
+        self._waited = bool(live)
+        self._last = time.monotonic()
+        PAUSE.serve(self, self._pause)
+        tick_s = bag.params.gait.tick_s
+        self.create_timer(min(max(tick_s / rate / 2, SHORTEST_S), LONGEST_S), self._turn)
+
+    def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self.paused = request.data
+        response.success = True
+        response.message = f"{'paused' if self.paused else 'playing'} at {self.seconds:.3f} s"
+        return response
+
+    def _turn(self) -> None:
+        """Publish what is due."""
+        now = time.monotonic()
+        passed, self._last = now - self._last, now
+        if self._waited:
+            if not all(hears.get_subscription_count() for hears in self._hears):
+                self.get_logger().info(
+                    f"waiting for {', '.join(self._live)}", throttle_duration_sec=5.0
+                )
+                return
+            self._waited = False
+            return
+        if self.paused or self.done:
+            return
+        self.seconds += passed * self._rate
+        due = self._origin + int(self.seconds * 1e9)
+        while self._next is not None and self._next.ns <= due:
+            publisher = self._publishers.get(self._next.topic)
+            if publisher is not None:
+                publisher.publish(self._next.data)
+                self.played += 1
+                if self._also is not None and self._next.topic == self._clock:
+                    self._also.publish(self._next.data)
+            self._next = next(self._messages, None)
+        self.done = self._next is None
+
+    def finish(self, spin: Callable[[], None]) -> None:
+        """Nothing to bring home."""

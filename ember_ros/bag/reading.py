@@ -1,0 +1,428 @@
+"""Opens a bag, says plainly what is wrong with it, and gives one robot's run tick by tick. Pure.
+
+Bags of ours, of `ros2 bag record` and of any other recorder of the same topics are read alike: what
+belongs to one tick is put together by what the messages say, not by the order they lie in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ember_ros import topics, wire
+from ember_ros.bag.card import Card, read_card
+from ember_ros.bag.recording import absolute, crc_of
+from ember_ros.bag.storage import METADATA, STORAGES, VERSION, needs_rosbags, read_metadata
+from ember_ros.bag.window import LATE, Window
+from ember_ros.errors import BagError, EmberError, SignalError
+from ember_ros.params import Params
+from ember_ros.plan import WORLDS, legs_of
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from leg_node.table import Table, empty_table
+
+
+class Tick(NamedTuple):
+    """All that a bag holds of one tick; legs in their order."""
+
+    tick: int
+    phase: Phase
+    senses: tuple[LegSense | None, ...]
+    """None where a message of a leg's two is not in the bag."""
+    commands: tuple[LegCommand | None, ...]
+    body: BodyState
+    """Where the body was, all 0 in a bag without odometry; falls count from the bag's start."""
+
+
+class Damage(NamedTuple):
+    """Senses that are not the ones that were recorded."""
+
+    tick: int
+    leg: str
+    found: int
+    """Their CRC-32."""
+    recorded: int
+    """The CRC-32 that was recorded."""
+
+
+class Raw(NamedTuple):
+    """One message as it lies in the bag."""
+
+    topic: str
+    kind: str
+    ns: int
+    data: bytes
+
+
+class _Reading:
+    """What one pass through the bag has seen; see ``Bag.ticks``."""
+
+    def __init__(self) -> None:
+        self.damages: list[Damage] = []
+        self.found: dict[int, tuple[int, ...]] = {}
+        self.recorded: dict[int, tuple[int, ...]] = {}
+
+
+class Bag:
+    """A bag that is open for reading, and one robot in it."""
+
+    def __init__(
+        self, path: Path, *, namespace: str | None = None, params: Params | None = None
+    ) -> None:
+        """Open a bag.
+
+        Args:
+            path: its folder, or one file of it.
+            namespace: of the robot; needed where the bag holds more than one.
+            params: for a bag without a card, of another recorder; the defaults for None.
+
+        Raises:
+            BagError: it is missing, cut off, damaged, or of something else.
+        """
+        self.path = path
+        self._reader = _open(path)
+        self.damages: list[Damage] = []
+        """What the last pass of ``ticks`` found to be changed."""
+        self.stale = 0
+        """Messages of ticks that were over, in the last pass."""
+        try:
+            self.connections = {c.topic: c for c in self._reader.connections}
+            self.namespace = self._choose(namespace)
+            self.card, self.table = self._read_run()
+            self.params = self.card.params if self.card else params or Params()
+            self.world = self.card.world if self.card else self._world()
+            self.legs = legs_of(self.world)
+            self._check_topics()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Bag:
+        """Return the bag."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, t: TracebackType | None
+    ) -> None:
+        """Close the bag."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the files; safe to call twice."""
+        if self._reader.is_open:
+            self._reader.close()
+
+    # -- what is in it -----------------------------------------------------------------------
+
+    def _name(self, topic: topics.Topic) -> str:
+        return absolute(self.namespace, topic.name)
+
+    def robots(self) -> list[str]:
+        """Return the namespaces in which there are legs."""
+        ends = [topics.joint_states(leg).name for world in WORLDS for leg in legs_of(world)]
+        found = {
+            topic[: -len(end)].strip("/")
+            for topic in self.connections
+            for end in ends
+            if topic.endswith("/" + end)
+        }
+        return sorted(found)
+
+    def _choose(self, namespace: str | None) -> str:
+        robots = self.robots()
+        named = ", ".join(f"/{robot}" for robot in robots)
+        if namespace is not None:
+            if namespace.strip("/") not in robots:
+                raise BagError(f"{self.path} has no robot in {namespace}; it has {named or 'none'}")
+            return namespace.strip("/")
+        if len(robots) > 1:
+            raise BagError(f"{self.path} has robots in {named}: choose one with --namespace")
+        if not robots:
+            found = ", ".join(sorted(self.connections)) or "none"
+            raise BagError(
+                f"{self.path} has no robot of ember_ros in it; topics like "
+                f"/front_left/joint_states and /cpg/phase would be right, its topics are: {found}"
+            )
+        return robots[0]
+
+    def _world(self) -> str:
+        """Return the world whose legs are in the bag."""
+        for world in WORLDS:
+            if any(
+                self._name(topics.joint_states(leg)) in self.connections for leg in legs_of(world)
+            ):
+                return world
+        raise AssertionError(self.namespace)
+
+    def _needed(self) -> list[topics.Topic]:
+        makers = (topics.joint_states, topics.contact, topics.command)
+        return [topics.PHASE, *(make(leg) for leg in self.legs for make in makers)]
+
+    def _check_topics(self) -> None:
+        optional = (topics.CLOCK, topics.ODOMETRY, topics.FALLS, topics.CRC)
+        for topic in (*self._needed(), *optional):
+            name = self._name(topic)
+            connection = self.connections.get(name)
+            if connection is None and topic not in optional:
+                raise BagError(
+                    f"{self.path} has no {name} ({topic.kind}); what a run needs is recorded whole "
+                    "with `--bag` or the recorder_node"
+                )
+            if connection is not None and connection.msgtype != topic.kind:
+                raise BagError(
+                    f"{self.path}: {name} is of type {connection.msgtype}; {topic.kind} would be "
+                    "right"
+                )
+
+    def _read_run(self) -> tuple[Card | None, Table | None]:
+        """Return what determined the run, if the bag says so."""
+        text = self._one(topics.CARD)
+        if text is None:
+            return None, None
+        where = f"{self.path}: {self._name(topics.CARD)}"
+        try:
+            card = read_card(wire.read_text(text, where), where)
+        except SignalError as error:
+            raise BagError(str(error)) from error
+        values, visits = self._one(topics.VALUES), self._one(topics.VISITS)
+        if values is None or visits is None:
+            return card, None
+        table = empty_table(card.params)
+        try:
+            numbers = wire.read_array(values, "d", where)[2], wire.read_array(visits, "q", where)[2]
+            table.values[:] = np.frombuffer(numbers[0], "<f8")
+            table.visits[:] = np.frombuffer(numbers[1], "<i8")
+        except (SignalError, ValueError) as error:
+            raise BagError(f"{self.path}: the table at the start is damaged: {error}") from error
+        if table.sha256() != card.start_table_sha256:
+            raise BagError(
+                f"{self.path}: the table at the start is not the one that was recorded (SHA-256 "
+                f"{table.sha256()[:12]}..., recorded {str(card.start_table_sha256)[:12]}...)"
+            )
+        return card, table
+
+    def _one(self, topic: topics.Topic) -> bytes | None:
+        """Return the first message of a topic."""
+        connection = self.connections.get(self._name(topic))
+        if connection is None or connection.msgtype != topic.kind:
+            return None
+        with _reading(self.path):
+            for _, _, data in self._reader.messages([connection]):
+                return bytes(data)
+        return None
+
+    @property
+    def table_sha256(self) -> str | None:
+        """Return the SHA-256 of the table at the end of the run, if it is known."""
+        if not self.path.is_dir():
+            return None
+        known = read_metadata(self.path).get("custom_data") or {}
+        return known.get("table_sha256")
+
+    def messages(self, topic: topics.Topic) -> int:
+        """Return how many messages of one of the robot's topics are in the bag."""
+        connection = self.connections.get(self._name(topic))
+        return 0 if connection is None else int(connection.msgcount)
+
+    def raw(self, start_ns: int = 0) -> Iterator[Raw]:
+        """Yield all messages of all topics from a time on, in the order of their times."""
+        with _reading(self.path):
+            found = self._reader.messages(
+                self._reader.connections, start=self._reader.start_time + start_ns
+            )
+            for connection, ns, data in found:
+                yield Raw(connection.topic, connection.msgtype, ns, bytes(data))
+
+    @property
+    def seconds(self) -> float:
+        """Return the time from the first message to the last."""
+        return float(self._reader.duration * 1e-9)
+
+    @property
+    def start_ns(self) -> int:
+        """Return the time of the first message."""
+        return int(self._reader.start_time)
+
+    # -- tick by tick ------------------------------------------------------------------------
+
+    def ticks(self) -> Iterator[Tick]:
+        """Yield the robot's ticks in order; a tick without its phase is left out.
+
+        Raises:
+            BagError: a message is damaged, or time begins anew.
+        """
+        self.damages, self.stale = [], 0
+        seen = _Reading()
+        seen.damages = self.damages
+        readers = self._readers(seen)
+        clocked = self._name(topics.CLOCK) in self.connections
+        beat = self._name(topics.CLOCK if clocked else topics.PHASE)
+        parts = [self._name(topic) for topic in self._needed()]
+        if self._name(topics.ODOMETRY) in self.connections:
+            parts.append(self._name(topics.ODOMETRY))
+        window, falls = Window(parts), 0
+        for topic, ns, data in self._messages([*readers, beat]):
+            if topic == beat:
+                for tick, found in window.take():
+                    falls += self._fell(found)
+                    yield from self._tick(tick, found, falls, seen)
+            reader = readers.get(topic)
+            if reader is None:
+                continue
+            try:
+                tick, value = reader(data)
+            except EmberError as error:
+                at = ns // self.params.gait.tick_ns
+                raise BagError(
+                    f"{self.path}: {topic} near tick {at} is damaged: {error}"
+                ) from error
+            if tick >= 0 and not window.put(tick, topic, (data, value)):
+                self.stale += 1
+                if tick < window.last - LATE:
+                    raise BagError(
+                        f"{self.path}: after tick {window.last}, {topic} begins anew at tick "
+                        f"{tick}: there are two runs in this bag"
+                    )
+        for tick, found in window.rest():
+            falls += self._fell(found)
+            yield from self._tick(tick, found, falls, seen)
+
+    def _messages(self, names: list[str]) -> Iterator[tuple[str, int, bytes]]:
+        connections = [self.connections[name] for name in names if name in self.connections]
+        with _reading(self.path):
+            for connection, ns, data in self._reader.messages(connections):
+                yield connection.topic, ns, bytes(data)
+
+    def _readers(self, seen: _Reading) -> dict[str, Callable[[bytes], tuple[int, Any]]]:
+        """Return how each topic's messages are read: into a tick, or -1, and a value."""
+        gait = self.params.gait
+        tick_ns = gait.tick_ns
+        phase, odometry = self._name(topics.PHASE), self._name(topics.ODOMETRY)
+        crc = self._name(topics.CRC)
+
+        def read_body(data: bytes) -> tuple[int, Any]:
+            ns, pose = wire.read_odometry(data, odometry)
+            return wire.tick_of(ns, tick_ns, odometry), pose
+
+        def read_crc(data: bytes) -> tuple[int, Any]:
+            (count, legs), before, numbers = wire.read_array(data, "I", crc)
+            low, high = np.frombuffer(before, "<u4").tolist()
+            rows = np.frombuffer(numbers, "<u4").reshape(count, legs).tolist()
+            for tick, row in enumerate(rows, low + (high << 32)):
+                seen.recorded[tick] = tuple(row)
+                self._check(tick, seen)
+            return -1, None
+
+        readers: dict[str, Callable[[bytes], tuple[int, Any]]] = {
+            phase: lambda data: wire.read_phase(data, gait.ticks, phase),
+            odometry: read_body,
+            crc: read_crc,
+        }
+        for leg in self.legs:
+            senses, commands = wire.SenseWire(leg, tick_ns), wire.CommandWire(leg, tick_ns)
+
+            def read_command(
+                data: bytes, commands: wire.CommandWire = commands
+            ) -> tuple[int, LegCommand]:
+                command = commands.read(data)
+                return command.tick, command
+
+            readers[self._name(topics.joint_states(leg))] = senses.read_joints
+            readers[self._name(topics.contact(leg))] = senses.read_contact
+            readers[self._name(topics.command(leg))] = read_command
+        return readers
+
+    def _fell(self, found: dict[str, Any]) -> bool:
+        """Return whether the robot was put back on its feet at a tick."""
+        for leg in self.legs:
+            part = found.get(self._name(topics.contact(leg)))
+            if part is not None:
+                return bool(part[1].first[wire.CONTACT.index("restart")])
+        return False
+
+    def _tick(self, tick: int, found: dict[str, Any], falls: int, seen: _Reading) -> Iterator[Tick]:
+        """Yield the tick that the parts make up, if its phase is there."""
+        senses: list[LegSense | None] = []
+        commands: list[LegCommand | None] = []
+        crcs = []
+        for leg in self.legs:
+            joints = found.get(self._name(topics.joint_states(leg)), (None, None))
+            contact = found.get(self._name(topics.contact(leg)), (None, None))
+            command = found.get(self._name(topics.command(leg)), (None, None))
+            both = joints[1] is not None and contact[1] is not None
+            senses.append(wire.SenseWire.sense(tick, joints[1], contact[1]) if both else None)
+            commands.append(command[1])
+            crcs.append(crc_of(joints[0], contact[0]))
+        seen.found[tick] = tuple(crcs)
+        self._check(tick, seen)
+        if len(seen.found) > 4 * LATE:  # never checked: a bag without, or of a run cut off
+            del seen.found[next(iter(seen.found))]
+        phase = found.get(self._name(topics.PHASE))
+        if phase is not None:
+            pose = found.get(self._name(topics.ODOMETRY), (None, (0.0,) * 6))[1]
+            body = BodyState._make((*pose, falls))
+            yield Tick(tick, phase[1], tuple(senses), tuple(commands), body)
+
+    def _check(self, tick: int, seen: _Reading) -> None:
+        """Hold a tick's senses against their recorded CRCs once both are there."""
+        if tick not in seen.found or tick not in seen.recorded:
+            return
+        for leg, found, recorded in zip(
+            self.legs, seen.found.pop(tick), seen.recorded.pop(tick), strict=True
+        ):
+            if found != recorded:
+                self.damages.append(Damage(tick, leg, found, recorded))
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Turn whatever a damaged file makes its reader raise into a BagError."""
+    try:
+        yield
+    except (EmberError, GeneratorExit, KeyboardInterrupt):
+        raise
+    except Exception as error:  # rosbags, zstd, struct and sqlite raise nearly anything
+        raise BagError(
+            f"{path} is damaged: {error or type(error).__name__}; `ember bag repair {path}` keeps "
+            "what is whole"
+        ) from error
+
+
+def _open(path: Path) -> Any:
+    """Return an open reader of rosbags.
+
+    Raises:
+        BagError: there is no bag that could be read; the message says why.
+    """
+    try:
+        from rosbags.rosbag2 import Reader
+    except ModuleNotFoundError as error:
+        raise needs_rosbags(error) from error
+    if not path.exists():
+        raise BagError(f"there is no bag {path}; `ember walk --bag {path}` would make one")
+    if path.is_dir():
+        if not (path / METADATA).exists():
+            if any(path.glob(f"*{end}") for end in STORAGES.values()):
+                raise BagError(
+                    f"{path} has no {METADATA}: its recording was cut off; `ember bag repair "
+                    f"{path}` brings it back"
+                )
+            raise BagError(f"{path} is no bag: a folder with {METADATA} would be right")
+        version = read_metadata(path).get("version")
+        if not isinstance(version, int) or version > VERSION:
+            raise BagError(
+                f"{path} is a bag of version {version!r}; versions up to {VERSION} are known"
+            )
+    elif path.suffix not in STORAGES.values():
+        raise BagError(
+            f"{path} is no bag; a folder with {METADATA}, or a file of "
+            f"{' or '.join(STORAGES.values())}, would be right"
+        )
+    with _reading(path):
+        reader = Reader(path)
+        reader.open()
+    return reader

@@ -1,0 +1,184 @@
+"""Lays a run down in a bag, tick by tick, in one order: the same run makes the same bytes.
+
+The loop and the sim node give it what they give every observer; the recorder node gives it the
+bytes that it heard. A tick is its clock, the falls if there are more, the body's pose, each leg's
+senses, the phase, and each leg's command. Every quarter of a second of simulated time it is brought
+to the disk, with a CRC-32 of each leg's senses: whatever chunk survives can be checked by itself.
+"""
+
+from __future__ import annotations
+
+import zlib
+from array import array
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ember_ros import topics, wire
+from ember_ros.bag.card import Card
+from ember_ros.bag.storage import BagWriter
+from ember_ros.plan import legs_of
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from leg_node.table import Table
+
+FLUSH_TICKS = 16
+"""Ticks a flush: a quarter of a second at the default period is the most that a kill can cost."""
+
+
+class Told(NamedTuple):
+    """All messages of one tick; None where there was none."""
+
+    clock: bytes | None
+    falls: bytes | None
+    odometry: bytes | None
+    joints: Sequence[bytes | None]
+    contacts: Sequence[bytes | None]
+    phase: bytes | None
+    commands: Sequence[bytes | None]
+
+
+def absolute(namespace: str, name: str) -> str:
+    """Return a topic's absolute name."""
+    return "/" + "/".join(part for part in (namespace.strip("/"), name) if part)
+
+
+def crc_of(joints: bytes | None, contact: bytes | None) -> int:
+    """Return the CRC-32 of a leg's two messages of one tick."""
+    return zlib.crc32(contact or b"", zlib.crc32(joints or b""))
+
+
+class Recording:
+    """One robot's run, going into a bag; whoever made the writer closes it."""
+
+    def __init__(
+        self, writer: BagWriter, card: Card, table: Table | None, *, namespace: str = ""
+    ) -> None:
+        """Write what determined the run.
+
+        Args:
+            writer: of the bag.
+            card: of the run.
+            table: at the run's start, if it is known.
+            namespace: of the robot.
+
+        Raises:
+            BagError: the bag cannot be written.
+        """
+        self.ticks = 0
+        """Ticks that were written."""
+        self._writer = writer
+        self._tick_ns = card.params.gait.tick_ns
+        legs = legs_of(card.world)
+        self._legs = len(legs)
+        self._senses = [wire.SenseWire(leg, self._tick_ns) for leg in legs]
+        self._commands = [wire.CommandWire(leg, self._tick_ns) for leg in legs]
+        self._falls = -1
+        self._crcs = array("I")
+        self._next = card.first_tick
+
+        def named(topic: topics.Topic) -> tuple[str, str]:
+            return absolute(namespace, topic.name), topic.kind
+
+        self._clock, self._phase = named(topics.CLOCK), named(topics.PHASE)
+        self._falls_topic, self._odometry = named(topics.FALLS), named(topics.ODOMETRY)
+        self._joints_topics = [named(topics.joint_states(leg)) for leg in legs]
+        self._contact_topics = [named(topics.contact(leg)) for leg in legs]
+        self._command_topics = [named(topics.command(leg)) for leg in legs]
+        self._crc = named(topics.CRC)
+
+        ns = card.first_tick * self._tick_ns
+        writer.write(*named(topics.CARD), ns, wire.pack_text(card.to_json()))
+        if table is not None:
+            shape = (table.states, table.actions)
+            for topic, code, numbers in (
+                (topics.VALUES, "d", table.values.astype("<f8")),
+                (topics.VISITS, "q", table.visits.astype("<i8")),
+            ):
+                data = wire.pack_array(code, ("state", "action"), shape, numbers.tobytes())
+                writer.write(*named(topic), ns, data)
+        writer.flush()
+
+    def tick(
+        self,
+        phase: Phase,
+        senses: Sequence[LegSense],
+        commands: Sequence[LegCommand | None],
+        body: BodyState,
+    ) -> None:
+        """Write one complete tick.
+
+        Raises:
+            BagError: the bag cannot be written.
+        """
+        tick = senses[0].tick
+        ns = tick * self._tick_ns
+        felt = [
+            sense_wire.pack(sense) for sense_wire, sense in zip(self._senses, senses, strict=True)
+        ]
+        falls = None if body.falls == self._falls else wire.pack_falls(body.falls)
+        self._falls = body.falls
+        told = Told(
+            wire.pack_clock(ns),
+            falls,
+            wire.pack_odometry(ns, body),
+            [joints for joints, _ in felt],
+            [contact for _, contact in felt],
+            wire.pack_phase(phase),
+            [w.pack(c) if c else None for w, c in zip(self._commands, commands, strict=True)],
+        )
+        self.put(tick, told)
+
+    def put(self, tick: int, told: Told) -> None:
+        """Write the messages of one tick; ticks must come in order.
+
+        Raises:
+            BagError: the bag cannot be written.
+        """
+        if tick != self._next:
+            self._check()  # what is checked together is without gaps
+        ns, write = tick * self._tick_ns, self._writer.write
+        for topic, data in (
+            (self._clock, told.clock),
+            (self._falls_topic, told.falls),
+            (self._odometry, told.odometry),
+        ):
+            if data is not None:
+                write(*topic, ns, data)
+        for n in range(self._legs):
+            joints, contact = told.joints[n], told.contacts[n]
+            if joints is not None:
+                write(*self._joints_topics[n], ns, joints)
+            if contact is not None:
+                write(*self._contact_topics[n], ns, contact)
+            self._crcs.append(crc_of(joints, contact))
+        if told.phase is not None:
+            write(*self._phase, ns, told.phase)
+        for command_topic, command in zip(self._command_topics, told.commands, strict=True):
+            if command is not None:
+                write(*command_topic, ns, command)
+        self.ticks += 1
+        self._next = tick + 1
+        if self._next % FLUSH_TICKS == 0:
+            self._check()
+            self._writer.flush()
+
+    def _check(self) -> None:
+        """Write the CRCs of the ticks since the last ones."""
+        count = len(self._crcs) // self._legs
+        if not count:
+            return
+        first = self._next - count
+        numbers = np.array([first & 0xFFFFFFFF, first >> 32, *self._crcs], "<u4").tobytes()
+        data = wire.pack_array("I", ("tick", "leg"), (count, self._legs), numbers, offset=2)
+        self._writer.write(*self._crc, (self._next - 1) * self._tick_ns, data)
+        del self._crcs[:]
+
+    def finish(self) -> None:
+        """Write what is left over; nothing more may come.
+
+        Raises:
+            BagError: the bag cannot be written.
+        """
+        self._check()
+        self._writer.flush()

@@ -1,0 +1,145 @@
+"""Learns again from what legs once sensed and did, with other numbers: Q-learning is off-policy.
+
+It is a replay in which the legs are told what to do: the same modules, the same sync, the same
+merge, one action after the other as it was recorded. So with the numbers of the run itself the
+table comes out that was learnt then, and with others the one that would have been. Pure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ember_ros.bag.reading import Bag
+from ember_ros.errors import BagError
+from ember_ros.loop import act, hand_in
+from ember_ros.params import Params, as_dict, cells_sha256, replace
+from ember_ros.plan import stage_of
+from ember_ros.signals import LegCommand, LegSense, Phase
+from leg_node.module import LegModule
+from leg_node.shared import SharedTable
+from leg_node.table import Table, empty_table
+
+
+class Relearnt(NamedTuple):
+    """A table learnt from bags."""
+
+    table: Table
+    params: Params
+    """That it was learnt with."""
+    ticks: int
+    updates: int
+    """Of cells of the table."""
+    skipped: int
+    """Ticks of single legs that had no whole senses, or no command."""
+    falls: int
+
+
+class _Told:
+    """A policy that does as it is told."""
+
+    def __init__(self) -> None:
+        self.action = 0
+
+    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
+        """Return what was done."""
+        return self.action
+
+
+class _Actions:
+    """Which action a recorded command was."""
+
+    def __init__(self, bag: Bag) -> None:
+        self._path = bag.path
+        self._speeds = {speed: n for n, speed in enumerate(bag.params.leg.knee_speeds)}
+
+    def of(self, leg: str, command: LegCommand) -> int:
+        """Return the action."""
+        try:
+            return self._speeds[command.knee_speed]
+        except KeyError:
+            raise BagError(
+                f"{self._path}: tick {command.tick}, {leg}: a knee speed of {command.knee_speed} "
+                "rad/s is none of leg.knee_speeds; learnt from can be what legs of these speeds "
+                "did"
+            ) from None
+
+
+def relearn(
+    bags: Sequence[Path],
+    changes: Mapping[str, Any] | None = None,
+    *,
+    params: Params | None = None,
+    stage: str | None = None,
+    table: Table | None = None,
+    passes: int = 1,
+    namespace: str | None = None,
+    go_on: Callable[[int, int], bool] = lambda ticks, falls: True,
+) -> Relearnt:
+    """Learn from bags, one after the other, in the order given.
+
+    Args:
+        bags: folders.
+        changes: full names of parameters (``reward.slip``) and their values, on top of ``params``.
+        params: to learn with; those of the first bag for None.
+        stage: which learning numbers hold, ``train`` or ``walk``; the bag's own for None.
+        table: to start from, owned from now on; empty for None.
+        passes: how often all bags are gone through.
+        namespace: of the robot in each bag.
+        go_on: told how many ticks and falls are done; says whether to go on.
+
+    Raises:
+        BagError: a bag cannot be used, or was recorded by another leg or gait.
+        ParameterError: a change is none.
+    """
+    if not bags:
+        raise BagError("there is no bag to learn from; name one or more")
+    with Bag(bags[0], namespace=namespace, params=params) as bag:
+        own = replace(params or bag.params, changes or {})
+        stage = stage or stage_of(bag.world)
+    if table is None:
+        table = empty_table(own)
+    numbers = own.walk if stage == "walk" else own.train
+    shared = SharedTable(table, cells=cells_sha256(own), floor=numbers.alpha_floor)
+    before = int(table.visits.sum())
+    ticks = skipped = falls = 0
+    for turn in range(passes):
+        for n, path in enumerate(bags):
+            with Bag(path, namespace=namespace, params=own) as bag:
+                _check(bag, own)
+                actions, told = _Actions(bag), _Told()
+                legs = [
+                    LegModule(own, leg, stage=stage, policy=told, run=f"{turn}/{n}")
+                    for leg in bag.legs
+                ]
+                fallen, last = 0, 0
+                for tick in bag.ticks():
+                    for leg, sense, command in zip(legs, tick.senses, tick.commands, strict=True):
+                        if sense is None or command is None:
+                            skipped += 1
+                            continue
+                        told.action = actions.of(leg.leg, command)
+                        act(shared, leg, sense, tick.phase)
+                    ticks += 1
+                    fallen, last = tick.body.falls, tick.tick
+                    if not go_on(ticks, falls + fallen):
+                        raise BagError("stopped before all bags were learnt from")
+                for leg in legs:
+                    hand_in(shared, leg, last)
+                shared.merge()
+                falls += fallen
+    return Relearnt(table, own, ticks, int(table.visits.sum()) - before, skipped, falls)
+
+
+def _check(bag: Bag, params: Params) -> None:
+    """Raise a BagError if the bag's legs are not those that the parameters speak of."""
+    was, now = as_dict(bag.params), as_dict(params)
+    for group in ("gait", "leg"):
+        for name, value in was[group].items():
+            if now[group][name] != value:
+                raise BagError(
+                    f"{bag.path} was recorded with {group}.{name} = {value}, and is to be learnt "
+                    f"from with {now[group][name]}: what was sensed and done would mean something "
+                    "else; reward.*, state.*, train.* and walk.* may be changed"
+                )

@@ -1,0 +1,153 @@
+"""Brings back what is whole in a bag whose recording was cut off, or that was damaged later."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ember_ros.bag.storage import METADATA, STORAGES, BagOptions, BagWriter, needs_rosbags
+from ember_ros.errors import BagError
+
+DRAFT = ".repair"
+
+
+class Repaired(NamedTuple):
+    """What was brought back."""
+
+    messages: int
+    seconds: float
+    """From the first message to the last, in the bag's own time."""
+    chunks: int
+    """Chunks of MCAP, or topics of SQLite, that were whole."""
+    damaged: int
+    """Chunks that were not, among whole ones."""
+    torn_bytes: int
+    """Behind the last whole record: what was being written when the recording was cut off."""
+
+
+class _Tally:
+    def __init__(self) -> None:
+        self.chunks = self.damaged = self.torn = 0
+        self.first: int | None = None
+        self.last = 0
+
+    def see(self, ns: int) -> None:
+        self.first = ns if self.first is None else min(self.first, ns)
+        self.last = max(self.last, ns)
+
+
+def repair(folder: Path) -> Repaired:
+    """Write the bag anew from its whole chunks, in the place of the damaged one.
+
+    Args:
+        folder: of the bag.
+
+    Raises:
+        BagError: there is no bag, nothing in it is whole, or it cannot be written; then what was
+            there is untouched.
+    """
+    files = _files(folder)
+    storage = next(name for name, end in STORAGES.items() if files[0].suffix == end)
+    draft = folder / DRAFT
+    shutil.rmtree(draft, ignore_errors=True)
+    tally = _Tally()
+    writer = BagWriter(BagOptions(draft / folder.resolve().name, storage))
+    try:
+        for n, file in enumerate(files):
+            if n:
+                writer.begin_file()
+            (_copy_mcap if storage == "mcap" else _copy_sqlite3)(file, writer, tally)
+        if not writer.messages:
+            raise BagError(f"nothing in {folder} is whole: not one chunk was finished")
+        writer.close()
+        for file in files:
+            file.unlink()
+        for file in sorted(writer.folder.iterdir(), key=lambda file: file.name == METADATA):
+            os.replace(file, folder / file.name)
+    except OSError as error:
+        raise BagError(f"cannot repair {folder}: {error.strerror}") from error
+    finally:
+        writer.abandon()
+        shutil.rmtree(draft, ignore_errors=True)
+    seconds = (tally.last - (tally.first or 0)) * 1e-9
+    return Repaired(writer.messages, seconds, tally.chunks, tally.damaged, tally.torn)
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return the files of one storage, in the order in which they were written."""
+    if not folder.is_dir():
+        raise BagError(f"there is no bag {folder}; the folder of one would be right")
+
+    def number(file: Path) -> tuple[int, str]:
+        found = re.search(r"_(\d+)$", file.stem)
+        return int(found[1]) if found else -1, file.name
+
+    for end in STORAGES.values():
+        files = sorted(folder.glob(f"*{end}"), key=number)
+        if files:
+            return files
+    raise BagError(f"{folder} is no bag: it has no file of {' or '.join(STORAGES.values())}")
+
+
+def _copy_mcap(file: Path, writer: BagWriter, tally: _Tally) -> None:
+    """Copy every whole chunk, each as a chunk again."""
+    try:
+        from mcap.records import Channel, Chunk, Message, Schema
+        from mcap.stream_reader import StreamReader, breakup_chunk
+    except ModuleNotFoundError as error:
+        raise needs_rosbags(error) from error
+    schemas: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
+    size = file.stat().st_size
+    with file.open("rb") as raw:
+        records: Iterator[Any] = StreamReader(raw, emit_chunks=True).records
+        whole = 0
+        # A torn record makes the reader raise nearly anything; there is nothing behind it.
+        with contextlib.suppress(Exception):
+            for record in records:
+                inside = [record]
+                if isinstance(record, Chunk):
+                    try:
+                        inside = breakup_chunk(record, validate_crc=True)
+                    except Exception:  # zstd, struct and mcap raise nearly anything
+                        if raw.tell() < size:
+                            tally.damaged += 1
+                            continue
+                        break
+                    tally.chunks += 1
+                whole = raw.tell()
+                for each in inside:
+                    if isinstance(each, Schema):
+                        schemas[each.id] = each.name
+                    elif isinstance(each, Channel):
+                        channels[each.id] = each.topic, schemas[each.schema_id]
+                    elif isinstance(each, Message):
+                        writer.write(*channels[each.channel_id], each.log_time, each.data)
+                        tally.see(each.log_time)
+                if isinstance(record, Chunk):
+                    writer.flush()
+    tally.torn += size - whole
+
+
+def _copy_sqlite3(file: Path, writer: BagWriter, tally: _Tally) -> None:
+    """Copy every message of all transactions that were finished."""
+    try:
+        # Not read-only: SQLite rolls back what was not finished when it may write.
+        with contextlib.closing(sqlite3.connect(file)) as database:
+            topics = dict[int, tuple[str, str]]()
+            for number, name, kind in database.execute("SELECT id, name, type FROM topics"):
+                topics[number] = name, kind
+            rows = database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id")
+            for number, ns, data in rows:
+                writer.write(*topics[number], ns, data)
+                tally.see(ns)
+            tally.chunks += len(topics)
+            writer.flush()
+    except sqlite3.Error as error:
+        raise BagError(f"{file} is no whole database: {error}") from error

@@ -1,0 +1,262 @@
+"""Runs a recorded run again: fresh legs in a world that only shows what was sensed.
+
+Pure, but for the graph, which is imported when it is asked for.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from ember_ros import topics
+from ember_ros.bag.card import Card
+from ember_ros.bag.reading import Bag, Tick
+from ember_ros.errors import BagError
+from ember_ros.plan import Plan
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from leg_node.table import Table, load_table, save_table
+
+WAYS = ("loop", "graph")
+
+
+class Difference(NamedTuple):
+    """The first thing that came out otherwise than it was recorded."""
+
+    tick: int
+    leg: str
+    field: str
+    recorded: object
+    replayed: object
+
+    def __str__(self) -> str:
+        """Return it as a sentence."""
+        return (
+            f"tick {self.tick}, {self.leg}: {self.field} was recorded as {self.recorded}, and "
+            f"replayed as {self.replayed}"
+        )
+
+
+class RecordedWorld:
+    """A world that was: it shows what was sensed, and holds what legs answer against the record.
+
+    Nothing a leg does changes what comes next. It ends where the bag does, or where a leg's senses
+    are missing.
+    """
+
+    def __init__(self, legs: Sequence[str], ticks: Iterator[Tick], rate: float = 0.0) -> None:
+        """Begin at the first tick.
+
+        Args:
+            legs: their names, in order.
+            ticks: of the bag.
+            rate: ticks a second to keep to; as fast as can be for 0.
+
+        Raises:
+            BagError: there is no tick.
+        """
+        self.legs = tuple(legs)
+        self.compared = 0
+        """Commands that were held against the record."""
+        self.unanswered = dict.fromkeys(self.legs, 0)
+        """Ticks without a recorded command, by leg."""
+        self.difference: Difference | None = None
+        self.missing: str | None = None
+        """Why the record ends before the bag does, if it does."""
+        self._ticks = ticks
+        self._wait = 1.0 / rate if rate else 0.0
+        self._due = time.monotonic()
+        self._last: Tick | None = None
+        self._next: Tick | None = None
+        self.over = False
+        """Whether the record has ended."""
+        self._advance()
+        if self.over:
+            raise BagError(f"nothing to replay: {self.missing or 'there is no whole tick'}")
+
+    def _advance(self) -> None:
+        """Take the next tick from the bag, if it is whole and follows."""
+        self._last, self._next = self._next, next(self._ticks, None)
+        if self._next is None:
+            self.over = True
+            return
+        expected = self._last.tick + 1 if self._last else 0
+        if self._next.tick != expected:
+            self.missing = f"tick {expected} is not in the bag, tick {self._next.tick} follows"
+        for leg, sense in zip(self.legs, self._next.senses, strict=True):
+            if sense is None and self.missing is None:
+                self.missing = f"the senses of {leg} at tick {self._next.tick} are not in the bag"
+        if self.missing:
+            self._next, self.over = None, True
+
+    def observe(self) -> tuple[LegSense, ...]:
+        """Return what was sensed; after the end the last senses, to which nothing is credited."""
+        tick = self._next or self._last
+        assert tick is not None
+        over = self._next is None
+        return tuple(
+            sense._replace(tick=sense.tick + 1, restart=True) if over else sense
+            for sense in tick.senses
+            if sense is not None
+        )
+
+    def step(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
+        """Hold the commands against those that were recorded, and go on."""
+        tick = self._next
+        assert tick is not None
+        for leg, command, recorded in zip(self.legs, commands, tick.commands, strict=True):
+            if recorded is None:
+                self.unanswered[leg] += 1
+                continue
+            self.compared += 1
+            if command != recorded and self.difference is None:
+                self.difference = _difference(leg, recorded, command)
+        if phase != tick.phase and self.difference is None:
+            self.difference = Difference(tick.tick, "cpg", "phase", tick.phase, phase)
+        if self._wait:
+            self._due += self._wait
+            time.sleep(max(0.0, self._due - time.monotonic()))
+        self._advance()
+
+    def body(self) -> BodyState:
+        """Return where the body was."""
+        tick = self._next or self._last
+        assert tick is not None
+        return tick.body
+
+    def reset(self) -> None:
+        """Refuse: a record is read from its beginning to its end, once."""
+        raise BagError("a recorded world cannot be reset; open the bag again")
+
+    def close(self) -> None:
+        """Do nothing: who opened the bag closes it."""
+
+
+def _difference(leg: str, recorded: LegCommand, command: LegCommand | None) -> Difference:
+    if command is None:
+        return Difference(recorded.tick, leg, "command", recorded, None)
+    for field, was, now in zip(LegCommand._fields, recorded, command, strict=True):
+        if was != now:
+            return Difference(recorded.tick, leg, field, was, now)
+    raise AssertionError(recorded)
+
+
+class Replayed(NamedTuple):
+    """What a replay came to."""
+
+    ticks: int
+    cycles: float
+    compared: int
+    """Commands that were held against the record."""
+    unanswered: dict[str, int]
+    """Ticks in which a leg's command was not recorded, by leg, where there are any."""
+    difference: Difference | None
+    """The first, or None."""
+    missing: str | None
+    """Why the replay ended before the bag, or None."""
+    table: Table
+    """At the end."""
+    recorded_sha256: str | None
+    """Of the table at the end, if it was recorded."""
+    seconds: float
+    """Wall time."""
+
+    @property
+    def equal(self) -> bool:
+        """Return whether everything that was recorded came out again."""
+        return (
+            self.difference is None
+            and self.missing is None
+            and self.recorded_sha256 in (None, self.table.sha256())
+        )
+
+
+def replay(
+    bag: Bag,
+    *,
+    on: str = "loop",
+    rate: float = 0.0,
+    go_on: Callable[[int], bool] = lambda ticks: True,
+) -> Replayed:
+    """Replay a bag.
+
+    Args:
+        bag: an open one.
+        on: ``loop``, or ``graph`` for real leg nodes, a table node and a CPG node.
+        rate: times real time; as fast as can be for 0.
+        go_on: told how many ticks are done; says whether to go on.
+
+    Raises:
+        BagError: the bag does not hold what determines the run; the message says what.
+    """
+    if bag.card is None:
+        raise BagError(
+            f"{bag.path} does not say what determined the run (no {bag.namespace}/run/card): it "
+            "was made by another recorder; `ember bag info`, `ember play` and `ember relearn` "
+            "work with it"
+        )
+    ticks_a_cycle = bag.params.gait.ticks
+    world = RecordedWorld(bag.legs, bag.ticks(), rate / bag.params.gait.tick_s)
+    with tempfile.TemporaryDirectory(prefix="ember_ros_replay_") as name:
+        folder = Path(name)
+        # The world ends where the record does; there are no more cycles than phases.
+        plan = _plan(bag, bag.card, folder, bag.messages(topics.PHASE))
+        began = time.perf_counter()
+        done, table = (_by_loop if on == "loop" else _by_graph)(plan, world, folder, go_on)
+        seconds = time.perf_counter() - began
+    difference = world.difference
+    for damage in bag.damages[:1]:
+        if difference is None or damage.tick <= difference.tick:
+            difference = Difference(
+                damage.tick,
+                damage.leg,
+                "CRC-32 of the senses",
+                f"{damage.recorded:08x}",
+                f"{damage.found:08x}",
+            )
+    return Replayed(
+        ticks=done,
+        cycles=done / ticks_a_cycle,
+        compared=world.compared,
+        unanswered={leg: n for leg, n in world.unanswered.items() if n},
+        difference=difference,
+        missing=world.missing,
+        table=table,
+        recorded_sha256=bag.table_sha256 if world.over else None,
+        seconds=seconds,
+    )
+
+
+def _plan(bag: Bag, card: Card, folder: Path, cycles: int) -> Plan:
+    start = None
+    if bag.table is not None:
+        start = folder / "start.npz"
+        save_table(start, bag.table, bag.params, 0)
+    return card.plan(cycles, start)
+
+
+def _by_loop(
+    plan: Plan, world: RecordedWorld, folder: Path, go_on: Callable[[int], bool]
+) -> tuple[int, Table]:
+    from ember_ros.loop import Loop
+
+    loop = Loop(plan, world)
+    while not world.over and go_on(loop.now):
+        loop.tick()
+    return loop.now, loop.finish()
+
+
+def _by_graph(
+    plan: Plan, world: RecordedWorld, folder: Path, go_on: Callable[[int], bool]
+) -> tuple[int, Table]:
+    from ember_ros.graph import Graph
+
+    graph = Graph(plan, folder, world=world)
+    try:
+        graph.run(lambda: go_on(graph.sim.tick))
+        done = graph.sim.tick
+    finally:
+        graph.close()
+    return done, load_table(folder / "table.npz", plan.params)[0]

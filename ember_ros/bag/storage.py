@@ -1,0 +1,445 @@
+"""The files of a bag, as the tools of Jazzy expect them: MCAP or SQLite, and ``metadata.yaml``.
+
+Messages are written as the bytes they travelled as, at times that the caller gives, so that the
+same messages make the same MCAP files. ``flush`` ends a chunk (MCAP) or a transaction (SQLite):
+what was flushed outlives this process. ``metadata.yaml`` is written last: a bag without it was cut
+off, and ``repair`` brings back what was flushed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import sqlite3
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn, Protocol
+
+import yaml
+
+from ember_ros.errors import BagError
+
+METADATA = "metadata.yaml"
+STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}
+"""What a bag can be stored as, and the ending of its files."""
+VERSION = 9
+"""Of ``metadata.yaml``: the one of Jazzy."""
+_INFINITE = {"sec": 9223372036, "nsec": 854775807}
+QOS = [
+    {
+        "history": "keep_last",
+        "depth": 1,
+        "reliability": "reliable",
+        "durability": "transient_local",
+        "deadline": _INFINITE,
+        "lifespan": _INFINITE,
+        "liveliness": "automatic",
+        "liveliness_lease_duration": _INFINITE,
+        "avoid_ros_namespace_conventions": False,
+    }
+]
+"""``offered_qos_profiles`` of all topics: what ``topics.latest`` says, in rosbag2's words."""
+
+
+class Definition(NamedTuple):
+    """What a message type is, for readers that do not know it."""
+
+    text: str
+    """Of the ``.msg`` file and of all it uses."""
+    rihs01: str
+    """The type's hash (REP 2016)."""
+
+
+def needs_rosbags(error: ModuleNotFoundError) -> BagError:
+    """Return the error for a missing library."""
+    return BagError(f"bags need rosbags and mcap ({error}): `pip install 'ember_ros[bags]'`")
+
+
+@functools.cache
+def definition(kind: str) -> Definition:
+    """Return the definition of a message type of Jazzy, named as ``std_msgs/msg/String``."""
+    try:
+        from rosbags.typesys import Stores, get_typestore
+    except ModuleNotFoundError as error:
+        raise needs_rosbags(error) from error
+    store = get_typestore(Stores.ROS2_JAZZY)
+    if kind not in store.fielddefs:
+        raise BagError(f"the message type {kind} is none of those that Jazzy comes with")
+    return Definition(store.generate_msgdef(kind, ros_version=2)[0], store.hash_rihs01(kind))
+
+
+def _yaml(content: Any) -> str:
+    class Plain(yaml.SafeDumper):
+        def ignore_aliases(self, data: Any) -> bool:
+            return True
+
+    return yaml.dump(content, Dumper=Plain, sort_keys=False)
+
+
+class _File(Protocol):
+    """One file of a bag."""
+
+    def add(self, channel: int, topic: str, kind: str) -> None: ...
+    def write(self, channel: int, ns: int, data: bytes) -> None: ...
+    def flush(self) -> None: ...
+    def size(self) -> int: ...
+    def close(self, metadata: str) -> None: ...
+    def abandon(self) -> None: ...
+
+
+class _Mcap:
+    """An MCAP file: a chunk a flush, compressed, with its CRC."""
+
+    def __init__(self, path: Path) -> None:
+        from mcap.writer import CompressionType, Writer
+
+        self._out = path.open("xb")
+        # Chunks end where they are flushed, which the number of ticks decides, and nowhere else.
+        self._writer: Any = Writer(self._out, chunk_size=1 << 40, compression=CompressionType.ZSTD)
+        self._writer.start("ros2")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[int, int] = {}
+
+    def add(self, channel: int, topic: str, kind: str) -> None:
+        text, rihs01 = definition(kind)
+        if kind not in self._schemas:
+            self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
+        told = {"offered_qos_profiles": _yaml(QOS).strip(), "topic_type_hash": rihs01}
+        self._channels[channel] = self._writer.register_channel(
+            topic, "cdr", self._schemas[kind], told
+        )
+
+    def write(self, channel: int, ns: int, data: bytes) -> None:
+        self._writer.add_message(self._channels[channel], ns, data, ns)
+
+    def flush(self) -> None:
+        self._writer.flush()
+
+    def size(self) -> int:
+        return self._out.tell()
+
+    def close(self, metadata: str) -> None:
+        self._writer.add_metadata("rosbag2", {"serialized_metadata": metadata})
+        self._writer.finish()
+        self._out.close()
+
+    def abandon(self) -> None:
+        # What the file object still holds may not fit: let go of the descriptor all the same.
+        with contextlib.suppress(OSError):
+            self._out.close()
+
+
+class _Sqlite3:
+    """A SQLite database: a transaction a flush."""
+
+    def __init__(self, path: Path) -> None:
+        from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+
+        class Named(Sqlite3Writer):
+            """Writes to a file of any name: `ros2 bag reindex` looks for ``<bag>_0.db3``."""
+
+            def __init__(self) -> None:
+                self.path = path
+                self.conn = sqlite3.connect(path)
+                self.conn.executescript(self.SQLITE_SCHEMA)
+                self.cursor = self.conn.cursor()
+
+        path.open("xb").close()  # never into a file that is there
+        self._path, self._writer = path, Named()
+        self._kinds: set[str] = set()
+        self._connections: dict[int, Any] = {}
+
+    def add(self, channel: int, topic: str, kind: str) -> None:
+        from rosbags.interfaces import (
+            Connection,
+            ConnectionExtRosbag2,
+            MessageDefinition,
+            MessageDefinitionFormat,
+        )
+
+        text, rihs01 = definition(kind)
+        connection = Connection(
+            id=channel,
+            topic=topic,
+            msgtype=kind,
+            msgdef=MessageDefinition(MessageDefinitionFormat.MSG, text),
+            digest=rihs01,
+            msgcount=0,
+            ext=ConnectionExtRosbag2("cdr", []),
+            owner=None,
+        )
+        if kind not in self._kinds:
+            self._kinds.add(kind)
+            self._writer.add_msgtype(connection)
+        self._writer.add_connection(connection, _yaml(QOS).strip())
+        self._connections[channel] = connection
+
+    def write(self, channel: int, ns: int, data: bytes) -> None:
+        self._writer.write(self._connections[channel], ns, data)
+
+    def flush(self) -> None:
+        self._writer.conn.commit()
+
+    def size(self) -> int:
+        return self._path.stat().st_size
+
+    def close(self, metadata: str) -> None:
+        self._writer.close(VERSION, metadata)
+
+    def abandon(self) -> None:
+        with contextlib.suppress(sqlite3.Error):
+            self._writer.conn.close()
+
+
+_FILES: dict[str, Callable[[Path], _File]] = {"mcap": _Mcap, "sqlite3": _Sqlite3}
+
+
+class _Span:
+    """How much is in a file, or in all."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.count = name, 0
+        self.first, self.last = 0, 0
+
+    def see(self, ns: int) -> None:
+        self.first = min(self.first, ns) if self.count else ns
+        self.last = max(self.last, ns)
+        self.count += 1
+
+    def told(self) -> dict[str, Any]:
+        return {
+            "starting_time": {"nanoseconds_since_epoch": self.first},
+            "duration": {"nanoseconds": self.last - self.first},
+            "message_count": self.count,
+        }
+
+
+class BagOptions(NamedTuple):
+    """Where a bag goes, and how."""
+
+    folder: Path
+    storage: str = "mcap"
+    split_mb: float = 0.0
+    """Megabytes after which a new file begins; 0 never."""
+    split_s: float = 0.0
+    """Seconds of the bag's own time after which a new file begins; 0 never."""
+
+
+class BagWriter:
+    """Writes a bag: messages in, files out."""
+
+    def __init__(self, options: BagOptions) -> None:
+        """Make the folder, which must not be there yet, and the first file in it.
+
+        Raises:
+            BagError: the folder is there already or cannot be made, there is no such storage, or
+                a library is missing.
+        """
+        folder, storage, split_mb, split_s = options
+        if storage not in STORAGES:
+            raise BagError(f"there is no storage {storage!r}; it is {' or '.join(STORAGES)}")
+        self.folder, self.storage = folder, storage
+        self._split_bytes, self._split_ns = split_mb * 1e6, split_s * 1e9
+        self._channels: dict[str, int] = {}
+        self._kinds: dict[str, str] = {}
+        self._counts: dict[str, int] = {}
+        self._all = _Span("")
+        self._spans: list[_Span] = []
+        self._file: _File | None = None
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            raise BagError(
+                f"{folder} is there already, and a bag is never written over; give another name, "
+                "or remove it"
+            ) from None
+        except OSError as error:
+            raise BagError(f"cannot make the bag {folder}: {error.strerror}") from error
+        self._open_file()
+
+    @contextlib.contextmanager
+    def _doing(self) -> Iterator[None]:
+        """Turn what a disk does to us into a BagError, and let go of the files."""
+        try:
+            yield
+        except ModuleNotFoundError as error:
+            self.abandon()
+            raise needs_rosbags(error) from error
+        except (OSError, sqlite3.Error) as error:
+            self._give_up(error)
+
+    def _open_file(self) -> None:
+        name = f"{self.folder.resolve().name}_{len(self._spans)}{STORAGES[self.storage]}"
+        with self._doing():
+            self._file = _FILES[self.storage](self.folder / name)
+            for topic, channel in self._channels.items():
+                self._file.add(channel, topic, self._kinds[topic])
+        self._spans.append(_Span(name))
+
+    def write(self, topic: str, kind: str, ns: int, data: bytes) -> None:
+        """Write a message.
+
+        Args:
+            topic: its absolute name.
+            kind: its type, as ``std_msgs/msg/String``.
+            ns: its time, ns.
+            data: the serialized message.
+
+        Raises:
+            BagError: the disk is full, or the like; the bag is closed as it is.
+        """
+        file = self._file
+        if file is None:
+            raise BagError(f"the bag {self.folder} is closed")
+        try:
+            channel = self._channels.get(topic)
+            if channel is None:
+                channel = self._channels[topic] = len(self._channels) + 1
+                self._kinds[topic], self._counts[topic] = kind, 0
+                file.add(channel, topic, kind)
+            file.write(channel, ns, data)
+        except (OSError, sqlite3.Error) as error:
+            self._give_up(error)
+        self._counts[topic] += 1
+        self._spans[-1].see(ns)
+        self._all.see(ns)
+
+    def flush(self) -> None:
+        """Bring everything to the disk as one whole, and begin a new file if it is time.
+
+        Raises:
+            BagError: the disk is full, or the like; the bag is closed as it is.
+        """
+        if self._file is None:
+            return
+        with self._doing():
+            self._file.flush()
+            span = self._spans[-1]
+            full = 0 < self._split_bytes <= self._file.size()
+        if full or 0 < self._split_ns <= span.last - span.first:
+            self.begin_file()
+
+    def begin_file(self) -> None:
+        """End the present file well, and begin another.
+
+        Raises:
+            BagError: the disk is full, or the like; the bag is closed as it is.
+        """
+        if self._file is not None:
+            with self._doing():
+                self._file.close(_yaml(self._metadata({})))
+            self._open_file()
+
+    def size(self) -> int:
+        """Return how many bytes are in the files."""
+        return sum(file.stat().st_size for file in self.folder.iterdir())
+
+    @property
+    def messages(self) -> int:
+        """Return how many messages were written."""
+        return self._all.count
+
+    def _metadata(self, custom: Mapping[str, str]) -> dict[str, Any]:
+        """Return what ``metadata.yaml`` says below its one key."""
+        return {
+            "version": VERSION,
+            "storage_identifier": self.storage,
+            **{key: self._all.told()[key] for key in ("duration", "starting_time")},
+            "message_count": self._all.count,
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": topic,
+                        "type": kind,
+                        "serialization_format": "cdr",
+                        "offered_qos_profiles": QOS,
+                        "type_description_hash": definition(kind).rihs01,
+                    },
+                    "message_count": self._counts[topic],
+                }
+                for topic, kind in self._kinds.items()
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [span.name for span in self._spans],
+            "files": [{"path": span.name, **span.told()} for span in self._spans],
+            "custom_data": dict(custom) or None,
+            "ros_distro": "jazzy",
+        }
+
+    def close(self, custom: Mapping[str, str] | None = None) -> None:
+        """End the bag well; closing twice is once.
+
+        Args:
+            custom: what ``metadata.yaml`` says under ``custom_data``.
+
+        Raises:
+            BagError: the disk is full, or the like.
+        """
+        if self._file is None:
+            return
+        metadata = self._metadata(custom or {})
+        with self._doing():
+            self._file.close(_yaml(metadata))
+            self._file = None
+            write_metadata(self.folder, metadata)
+
+    def abandon(self) -> None:
+        """Let go of the files as they are: the bag is cut off."""
+        file, self._file = self._file, None
+        if file is not None:
+            file.abandon()
+
+    def _give_up(self, error: Exception) -> NoReturn:
+        self.abandon()
+        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise BagError(
+            f"cannot write the bag {self.folder}: {why}; it is cut off here, and `ember bag repair "
+            f"{self.folder}` brings back what is in it"
+        ) from error
+
+
+INFORMATION = "rosbag2_bagfile_information"
+
+
+def read_metadata(folder: Path) -> dict[str, Any]:
+    """Return what ``metadata.yaml`` says below its one key.
+
+    Raises:
+        BagError: it is missing, or is none.
+    """
+    file = folder / METADATA
+    try:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))[INFORMATION]
+        if not isinstance(content, dict):
+            raise TypeError(f"{INFORMATION} is a {type(content).__name__}")
+    except OSError as error:
+        raise BagError(f"cannot read {file}: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
+        raise BagError(
+            f"{file} is no metadata of a bag ({error}); move it away, and `ember bag repair "
+            f"{folder}` makes it anew"
+        ) from error
+    return content
+
+
+def write_metadata(folder: Path, content: Mapping[str, Any]) -> None:
+    """Write ``metadata.yaml``, whole or not at all."""
+    draft = folder / f".{METADATA}"
+    draft.write_text(_yaml({INFORMATION: dict(content)}), encoding="utf-8")
+    os.replace(draft, folder / METADATA)
+
+
+def seal(folder: Path, **facts: str) -> None:
+    """Add to ``custom_data`` what was known only after the bag was closed.
+
+    Raises:
+        BagError: it is no closed bag, or cannot be written.
+    """
+    content = read_metadata(folder)
+    content["custom_data"] = {**(content.get("custom_data") or {}), **facts}
+    try:
+        write_metadata(folder, content)
+    except OSError as error:
+        raise BagError(f"cannot write {folder / METADATA}: {error.strerror}") from error
