@@ -6,6 +6,7 @@ that slows down slows all of them; what is quoted are medians, and ratios within
 
 from __future__ import annotations
 
+import itertools
 import statistics
 import tempfile
 import time
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ember_ros import calls, wire
+from ember_ros.bag.storage import BagOptions
 from ember_ros.graph import Graph, processes
 from ember_ros.loop import Loop
 from ember_ros.params import Params, cells_sha256
@@ -64,11 +66,13 @@ def bench(
         training_s = _train(params, train_cycles, folder / TABLE)
         plan = Plan("walker", cycles, params=params, table=folder / TABLE)
         tape, falls = _tape(plan)
+        bags = itertools.count()
         ways: dict[str, Callable[[], float]] = {
             "physics": lambda: _physics(plan, tape),
             "loop": lambda: _loop(plan, record=False),
             "loop, recorded": lambda: _loop(plan, record=True),
             "graph": lambda: _graph(plan, None),
+            "graph, with a bag": lambda: _graph(plan, folder / f"bag{next(bags)}"),
             "processes": lambda: _processes(plan, folder / "processes"),
             "conversion": lambda: _conversion(plan, tape),
         }
@@ -92,11 +96,12 @@ def bench(
         "ticks_per_s": {way: 1e6 / us for way, us in cost.items() if way != "conversion"},
         "loop_of_physics": ratio("loop", "physics"),
         "graph_of_loop": ratio("graph", "loop, recorded"),
+        "bag_costs": 1.0 - ratio("graph, with a bag", "graph"),
         "processes_times_real_time": 1e6 / cost["processes"] / real_time,
         "us_per_tick": {
             "physics": cost["physics"],
             "sensing and learning": cost["loop"] - cost["physics"],
-            "recording": cost["loop, recorded"] - cost["loop"],
+            "a line a cycle": cost["loop, recorded"] - cost["loop"],
             "message conversion": cost["conversion"],
             "executor and transport": cost["graph"] - cost["loop, recorded"] - cost["conversion"],
         },
@@ -150,8 +155,8 @@ def _loop(plan: Plan, *, record: bool) -> float:
     return took
 
 
-def _graph(plan: Plan, out: Path | None) -> float:
-    graph = Graph(plan, out)
+def _graph(plan: Plan, bag: Path | None) -> float:
+    graph = Graph(plan, bag=BagOptions(bag) if bag else None)
     while not graph.sim.recorder.traces:  # up to the first tick: matching is not a tick's cost
         graph.spin_once()
     began = time.perf_counter()
@@ -237,6 +242,7 @@ def lines(found: dict[str, Any]) -> list[tuple[str, str]]:
     rows += [
         ("loop, of physics alone", f"{found['loop_of_physics']:.0%}"),
         ("graph in one process, of the loop", f"{found['graph_of_loop']:.0%}"),
+        ("a bag takes of the graph's ticks/s", f"{found['bag_costs']:.1%}"),
         ("seven processes", f"{found['processes_times_real_time']:.1f} times real time"),
     ]
     rows += [(f"a tick: {part}", f"{cost:.0f} us") for part, cost in found["us_per_tick"].items()]

@@ -368,9 +368,13 @@ def bench(params_file: Path | None, out: Path, **sizes: int) -> None:
 
 
 @main.command()
-@click.argument("name", type=click.Choice(["first-light"]))
+@click.argument("name", type=click.Choice(["first-light", "relearn"]))
 @click.option("--seeds", type=click.IntRange(1), default=5, show_default=True, help="How many.")
-@click.option("--cycles", type=click.IntRange(1), default=6000, show_default=True, help="Trainer.")
+@click.option(
+    "--cycles",
+    type=click.IntRange(1),
+    help="On the trainer (first-light, 6000), or that are recorded (relearn, 1000).",
+)
 @click.option("--walk-cycles", type=click.IntRange(1), default=300, show_default=True, help="Body.")
 @click.option(
     "--out",
@@ -379,22 +383,29 @@ def bench(params_file: Path | None, out: Path, **sizes: int) -> None:
     show_default=True,
     help="Folder for the page, the numbers and the runs.",
 )
-def experiment(name: str, seeds: int, cycles: int, walk_cycles: int, out: Path) -> None:
+def experiment(name: str, seeds: int, cycles: int | None, walk_cycles: int, out: Path) -> None:
     """Run an experiment over many seeds, and write its page.
 
-    first-light: one leg trained alone; then four walkers in one body: trained, scripted, random,
-    and legs that know nothing.
-    """
-    from ember_ros.experiments import first_light as experiment
+    \b
+    first-light  one leg trained alone; then walkers in one body: trained, scripted,
+                 random, and legs that know nothing
+    relearn      tables learnt from bags of random and scripted walkers, and how they walk
+    """  # noqa: D301  click reads the backspace as: keep these lines as they are
+    from ember_ros.experiments import first_light, relearn
 
+    study, page, cycles = {
+        "first-light": (first_light.first_light, first_light.page, cycles or first_light.CYCLES),
+        "relearn": (relearn.relearn_experiment, relearn.page, cycles or relearn.CYCLES),
+    }[name]
     command = shlex.join(["ember", *sys.argv[1:]])
     out.mkdir(parents=True, exist_ok=True)
     with stop_signals() as stop, _progress(name, seeds, stop, "seeds") as go_on:
-        found = experiment.first_light(seeds, cycles, walk_cycles, out / "runs", go_on)
+        found = study(seeds, cycles, walk_cycles, out / "runs" / name, go_on)
     if not found:
         raise ParameterError("stopped before the first seed was done; nothing was written")
-    text = experiment.page(found, cycles, walk_cycles, command)
-    experiment.write(found, text, out)
+    text = page(found, cycles, walk_cycles, command)
+    (out / f"{name}.md").write_text(text, encoding="utf-8")
+    (out / f"{name}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     console.print(f"{len(found)} of {seeds} seeds; in {out}: {name}.md, {name}.json")
 
 

@@ -19,7 +19,8 @@ from typing import Any
 
 from ember_ros.bag.card import Card
 from ember_ros.bag.recording import Recording
-from ember_ros.bag.storage import BagOptions, BagWriter, seal
+from ember_ros.bag.scribe import Scribe
+from ember_ros.bag.storage import BagOptions, seal
 from ember_ros.errors import BagError, EmberError, ParameterError
 from ember_ros.params import params_sha256
 from ember_ros.plan import Plan
@@ -112,7 +113,7 @@ def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> None:
     observers: list[Observer] = [recorder]
     writer, recording = None, None
     if bag is not None:
-        writer = BagWriter(bag)
+        writer = Scribe(bag)
         card = Card.of_plan(plan, loop.shared.table, versions())
         recording = Recording(writer, card, loop.shared.table)
         observers.append(recording)
@@ -129,7 +130,7 @@ def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> None:
         save_table(out / TABLE, loop.finish(), plan.params, plan.seed)
         recorder.finish(loop.world.observe(), loop.world.body())
         if writer is not None:
-            writer.abandon()  # does nothing to one that was closed
+            writer.abandon()  # nothing, if it was closed
         loop.close()
 
 

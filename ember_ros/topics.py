@@ -14,6 +14,7 @@ name                       type                        carries
 ``odometry``               nav_msgs/Odometry           the body's pose, for viewers and bags
 ``diagnostics``            diagnostic_msgs/            who is absent, what was refused
                            DiagnosticArray
+``recorder/tick``          std_msgs/Int64              the last tick a recorder node heard
 ``run/card``               std_msgs/String             in bags only: what determined the run
 ``run/values``             std_msgs/Float64MultiArray  in bags only: the table at the start
 ``run/visits``             std_msgs/Int64MultiArray    the same, how often each cell was visited
@@ -109,6 +110,7 @@ PHASE = Topic("cpg/phase", "std_msgs/msg/Float64")
 FALLS = Topic("falls", "std_msgs/msg/Int64")
 ODOMETRY = Topic("odometry", "nav_msgs/msg/Odometry")
 DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+RECORDED = Topic("recorder/tick", "std_msgs/msg/Int64")
 
 CARD = Topic("run/card", "std_msgs/msg/String")
 VALUES = Topic("run/values", "std_msgs/msg/Float64MultiArray")

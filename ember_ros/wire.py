@@ -312,27 +312,27 @@ class CommandWire:
 
 # -- the body --------------------------------------------------------------------------------
 
-_FALLS = struct.Struct("<4sq")
+_INT = struct.Struct("<4sq")
 
 
-def pack_falls(falls: int) -> bytes:
+def pack_int(number: int) -> bytes:
     """Return a std_msgs/Int64."""
-    return _FALLS.pack(CDR, falls)
+    return _INT.pack(CDR, number)
 
 
-def read_falls(data: Bytes, where: str) -> int:
-    """Return the falls in a std_msgs/Int64.
+def read_int(data: Bytes, where: str, least: int = 0) -> int:
+    """Return the number in a std_msgs/Int64.
 
     Raises:
-        SignalError: it is none, or under 0.
+        SignalError: it is none, or under ``least``.
     """
-    if len(data) == _FALLS.size and data[:4] == CDR:
-        falls = int(_FALLS.unpack(data)[1])
+    if len(data) == _INT.size and data[:4] == CDR:
+        number = int(_INT.unpack(data)[1])
     else:
-        falls = int(_deserialize(data, topics.FALLS.kind, where).data)
-    if falls < 0:
-        raise SignalError(f"{where}: {falls} falls; 0 or more would be right")
-    return falls
+        number = int(_deserialize(data, topics.FALLS.kind, where).data)
+    if number < least:
+        raise SignalError(f"{where}: {number}; {least} or more would be right")
+    return number
 
 
 # Frames as in REP 105, but for a body that is no vehicle's base; no covariance, no twist is known.

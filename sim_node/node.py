@@ -14,8 +14,9 @@ from rclpy.node import Node
 
 from ember_ros import topics, wire
 from ember_ros.bag.inquiry import Inquiry
-from ember_ros.bag.recording import Recording
-from ember_ros.bag.storage import BagOptions, BagWriter
+from ember_ros.bag.recording import Recording, Told
+from ember_ros.bag.scribe import Scribe
+from ember_ros.bag.storage import BagOptions
 from ember_ros.errors import SignalError
 from ember_ros.plan import legs_of, make_world
 from ember_ros.report.recorder import Recorder
@@ -26,6 +27,7 @@ from sim_node.world import World
 
 WATCH_S = 0.05  # wall time between looks at who is late
 ANSWER_S = 5.0  # least wall time to wait for nodes to say what they were told
+AHEAD = 24  # ticks ahead of a recorder: Fast DDS holds 512 messages between two processes
 SAY_S = 5.0  # wall time between two lines of the log on one matter
 
 
@@ -37,7 +39,11 @@ class SimNode(Node):  # type: ignore[misc]
     the phase is missing, the world stands still. In ``realtime`` every tick lasts its own length
     of wall time, and who is late is held still for that tick.
 
-    Subscribes: ``cpg/phase`` (std_msgs/Float64), ``<leg>/command`` (sensor_msgs/JointState).
+    A recorder node that says how far it is is waited for too, so that it loses nothing: in
+    lockstep the world is never further ahead of it than what lies between two processes can hold.
+
+    Subscribes: ``cpg/phase`` (std_msgs/Float64), ``<leg>/command`` (sensor_msgs/JointState),
+    ``recorder/tick`` (std_msgs/Int64).
     Publishes: ``clock`` (rosgraph_msgs/Clock), ``<leg>/joint_states``, ``<leg>/contact``
     (sensor_msgs/JointState), ``falls`` (std_msgs/Int64), ``odometry`` (nav_msgs/Odometry),
     ``diagnostics`` (diagnostic_msgs/DiagnosticArray).
@@ -75,13 +81,13 @@ class SimNode(Node):  # type: ignore[misc]
             params, self.legs, Path(options["out"]) if options["out"] else None
         )
         self._kind: str = options["world"]
-        self._bag: BagWriter | None = None
+        self._bag: Scribe | None = None
         self._recording: Recording | None = None
         if options["bag"]:
             given = (options[name] for name in BagOptions._fields[1:])
-            self._bag = BagWriter(BagOptions(Path(options["bag"]), *given))
+            self._bag = Scribe(BagOptions(Path(options["bag"]), *given))
             self._inquiry = Inquiry(self, self.get_namespace())
-            self._asked: float | None = None
+        self._asked: float | None = None  # when all were there but for who records
         self.refused = 0
         self._realtime = options["mode"] == "realtime"
         self._patience = options["patience"]
@@ -90,9 +96,13 @@ class SimNode(Node):  # type: ignore[misc]
         self._tick = 0
         self._phase: Phase | None = None
         self._commands: dict[str, LegCommand] = {}
+        self._heard: dict[str, bytes] = {}  # the same and the phase, as they came
+        self._told: tuple[Any, ...] = ()  # what was published of the present tick, as it went
         self._absent: set[str] = set()
         self._started = False
-        self._since = time.monotonic()  # when the present tick was published
+        self._held = False  # whether the next tick waits for the recorder
+        self._recorded: int | None = None  # how far it is; None where nobody is waited for
+        self._since = time.monotonic()  # when the present tick was published, or held
         self._said: dict[str, float] = {}
         self._falls = -1
 
@@ -107,6 +117,7 @@ class SimNode(Node):  # type: ignore[misc]
         self._subscriptions_by_leg = {
             leg: topics.command(leg).subscribe(self, self._listener(leg)) for leg in self.legs
         }
+        topics.RECORDED.subscribe(self, self._hear_recorder)
         if self._last == 0:
             self.done = True
         if self._realtime:
@@ -143,6 +154,7 @@ class SimNode(Node):  # type: ignore[misc]
             return
         if tick == self._tick and self._started:
             self._phase = phase
+            self._heard[topics.PHASE.name] = data
             self._step_if_complete()
         elif tick != self._tick:
             self._refuse(f"cpg/phase: tick {tick} is not now, now is {self._tick}")
@@ -167,42 +179,62 @@ class SimNode(Node):  # type: ignore[misc]
                 self._diagnose()
             if command.tick == self._tick and self._started:
                 self._commands[leg] = command
+                self._heard[leg] = data
                 self._step_if_complete()
             else:
                 self._refuse(f"{where}: tick {command.tick} is over, now is {self._tick}")
 
         return hear
 
+    def _hear_recorder(self, data: bytes) -> None:
+        try:
+            self._recorded = wire.read_int(data, topics.RECORDED.name, -1)
+        except SignalError as why:
+            self._refuse(why)
+            return
+        if self._held:
+            self._next()
+
     # -- one tick ----------------------------------------------------------------------------
+
+    def _next(self) -> None:
+        """Begin the present tick, unless a recorder is too far behind."""
+        ahead = 0 if self._recorded is None else self._tick - self._recorded
+        self._held = ahead > AHEAD and not self._realtime
+        self._since = time.monotonic()
+        if not self._held:
+            self._publish()
 
     def _publish(self) -> None:
         """Say what is sensed at the present tick, and what time it is."""
-        self._since = time.monotonic()
         self._phase = None
         self._commands.clear()
-        ns = self._tick * self._tick_ns
-        for sense_wire, sense, joints, contact in zip(
-            self._wires, self.world.observe(), self._joints, self._contacts, strict=True
+        self._heard.clear()
+        ns, body, falls = self._tick * self._tick_ns, self.world.body(), None
+        felt = [w.pack(sense) for w, sense in zip(self._wires, self.world.observe(), strict=True)]
+        for (joints_data, contact_data), joints, contact in zip(
+            felt, self._joints, self._contacts, strict=True
         ):
-            joints_data, contact_data = sense_wire.pack(sense)
             joints.publish(joints_data)
             contact.publish(contact_data)
-        self._clock_publisher.publish(wire.pack_clock(ns))
-        body = self.world.body()
+        clock, odometry = wire.pack_clock(ns), wire.pack_odometry(ns, body)
+        self._clock_publisher.publish(clock)
         if body.falls != self._falls:
             if body.falls > max(self._falls, 0):
                 self.get_logger().warning(
                     f"fall {body.falls} in cycle {self._tick // self._ticks}; put back on its feet"
                 )
             self._falls = body.falls
-            self._falls_publisher.publish(wire.pack_falls(body.falls))
-        self._odometry.publish(wire.pack_odometry(ns, body))
+            falls = wire.pack_int(body.falls)
+            self._falls_publisher.publish(falls)
+        self._odometry.publish(odometry)
+        self._told = clock, falls, odometry, *zip(*felt, strict=True)
         if self._tick % self._ticks == 0:
             self._diagnose()
 
     def _step_if_complete(self) -> None:
         """Step once the phase and the commands of everybody present are in."""
-        if self._realtime or self._phase is None or not self._commands:
+        if self._realtime or self._held or self._phase is None or not self._commands:
             return
         if all(leg in self._commands or leg in self._absent for leg in self.legs):
             self._step()
@@ -211,17 +243,18 @@ class SimNode(Node):  # type: ignore[misc]
         """Advance the world by the present tick, and begin the next one."""
         assert self._phase is not None
         commands = [self._commands.get(leg) for leg in self.legs]
-        senses, body = self.world.observe(), self.world.body()
-        self.recorder.tick(self._phase, senses, commands, body)
+        self.recorder.tick(self._phase, self.world.observe(), commands, self.world.body())
         if self._recording is not None:
-            self._recording.tick(self._phase, senses, commands, body)
+            heard = self._heard.get
+            said = heard(topics.PHASE.name), [heard(leg) for leg in self.legs]
+            self._recording.put(self._tick, Told._make((*self._told, *said)))
         self.world.step(self._phase, commands)
         self._tick += 1
         if self._tick >= self._last or self.world.over:
             self.done = True
             self._started = False
         else:
-            self._publish()
+            self._next()
 
     # -- waiting -----------------------------------------------------------------------------
 
@@ -244,7 +277,7 @@ class SimNode(Node):  # type: ignore[misc]
             if time.monotonic() - self._since > self._patience:
                 self._say("start", f"waiting for {', '.join(missing)}")
             return
-        if self._bag is not None and not self._begin_bag(self._bag):
+        if not self._recorders_are_ready():
             return
         if self.count_publishers(topics.CLOCK.name) > 1:
             self.get_logger().warning(
@@ -252,17 +285,25 @@ class SimNode(Node):  # type: ignore[misc]
                 "(-r __ns:=/robot_2) or another ROS_DOMAIN_ID"
             )
         self._started = True
-        self._publish()
+        self._next()
 
-    def _begin_bag(self, bag: BagWriter) -> bool:
-        """Ask what determines the run; begin to record, and return True, when all have answered.
-
-        Who does not answer within ``patience`` is not one of our nodes, and is not waited for.
-        """
+    def _recorders_are_ready(self) -> bool:
+        """Return whether all who record have what they need, or had their time."""
         now = time.monotonic()
         if self._asked is None:
             self._asked = now
-        if self._inquiry.ask() and now - self._asked < max(self._patience, ANSWER_S):
+        late = now - self._asked >= max(self._patience, ANSWER_S)
+        if self._recorded is None and not late and self.count_publishers(topics.RECORDED.name):
+            self._say("recorder", "waiting for the recorder")
+            return False
+        return self._bag is None or self._begin_bag(self._bag, late)
+
+    def _begin_bag(self, bag: Scribe, late: bool) -> bool:
+        """Ask what determines the run; begin to record, and return True, when all have answered.
+
+        Who does not answer in time is not one of our nodes, and is not waited for.
+        """
+        if self._inquiry.ask() and not late:
             return False
         card, table, wrong = self._inquiry.card(self._kind, 0)
         for why in wrong:
@@ -275,9 +316,19 @@ class SimNode(Node):  # type: ignore[misc]
         if not self._started:
             self._start_if_all_there()
             return
+        if self._held and not self.count_publishers(topics.RECORDED.name):
+            self._recorded = None  # it has ended: nothing to wait for
+            self._next()
+            return
         if time.monotonic() - self._since < self._patience:
             return
-        if self._phase is None:
+        if self._held:
+            self.get_logger().warning(
+                f"the recorder heard nothing after tick {self._recorded}: not waited for any more"
+            )
+            self._recorded = None
+            self._next()
+        elif self._phase is None:
             self._say("phase", f"the phase of tick {self._tick} is missing: standing still")
             self._diagnose()
         elif not self._commands:
@@ -347,7 +398,7 @@ class SimNode(Node):  # type: ignore[misc]
             self._bag.close()
 
     def destroy_node(self) -> None:
-        """Destroy the node and let go of the world; a bag that was not finished is cut off."""
+        """Destroy the node and let go of the world; a bag that was not finished ends here."""
         if self._bag is not None:
             self._bag.abandon()
         self.world.close()

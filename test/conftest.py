@@ -33,6 +33,7 @@ collect_ignore = (
         "test_nodes.py",
         "test_graph.py",
         "test_processes.py",
+        "test_bag_nodes.py",
         "test_installed.py",
     ]
 )

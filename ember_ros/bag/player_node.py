@@ -15,6 +15,8 @@ from ember_ros.bag.recording import absolute
 from ember_ros.errors import BagError
 
 PAUSE = topics.Service("play/pause", "std_srvs/srv/SetBool")
+MOST = 256
+"""Messages a turn: Fast DDS holds 512 between two processes."""
 SHORTEST_S, LONGEST_S = 0.001, 0.05
 """Wall time between two looks at what is due: about a tick, within these."""
 
@@ -62,29 +64,36 @@ class PlayerNode(Node):  # type: ignore[misc]
                 raise BagError(f"{bag.path} has no leg {leg!r}; it has {', '.join(bag.legs)}")
         self._rate, self._live = rate, tuple(live)
         self._origin = bag.start_ns
-        prefix = absolute(bag.namespace, "")
+        prefix = absolute(bag.namespace, "").rstrip("/") + "/"
+        others = tuple(
+            absolute(each, "") + "/"
+            for each in bag.robots()
+            if each != bag.namespace and absolute(each, "").startswith(prefix)
+        )
         left_out = {absolute(bag.namespace, topics.command(leg).name) for leg in live}
-        self._publishers: dict[str, Any] = {}
+        self._sayers: dict[str, Any] = {}
         for topic, connection in bag.connections.items():
-            if topic in left_out or not topic.startswith(prefix):
+            if topic in left_out or not topic.startswith(prefix) or topic.startswith(others):
                 continue
             try:
                 named = topics.Topic(topic, connection.msgtype)
-                self._publishers[topic] = named.publish(self)
+                self._sayers[topic] = named.publish(self)
             except (ImportError, AttributeError):
                 self.get_logger().warning(
                     f"{topic} is left out: there is no {connection.msgtype} in this environment"
                 )
-        self._clock = absolute(bag.namespace, topics.CLOCK.name)
+        self._clock_name = absolute(bag.namespace, topics.CLOCK.name)
         self._also = None
-        if self._clock in self._publishers and self._clock != "/clock":
+        if self._clock_name in self._sayers and self._clock_name != "/clock":
             self._also = topics.Topic("/clock", topics.CLOCK.kind).publish(self)
         self._messages: Iterator[Raw] = bag.raw(int(start_s * 1e9))
         self._next = next(self._messages, None)
         if self._next is None:
             raise BagError(f"{bag.path} ends before {start_s} s")
         self._hears = [
-            self._publishers[absolute(bag.namespace, topics.joint_states(leg).name)] for leg in live
+            self._sayers[absolute(bag.namespace, make(leg).name)]
+            for leg in live
+            for make in (topics.joint_states, topics.contact)
         ]
         self._waited = bool(live)
         self._last = time.monotonic()
@@ -103,7 +112,8 @@ class PlayerNode(Node):  # type: ignore[misc]
         now = time.monotonic()
         passed, self._last = now - self._last, now
         if self._waited:
-            if not all(hears.get_subscription_count() for hears in self._hears):
+            says = (self.count_publishers(topics.command(leg).name) for leg in self._live)
+            if not (all(hears.get_subscription_count() for hears in self._hears) and all(says)):
                 self.get_logger().info(
                     f"waiting for {', '.join(self._live)}", throttle_duration_sec=5.0
                 )
@@ -114,12 +124,13 @@ class PlayerNode(Node):  # type: ignore[misc]
             return
         self.seconds += passed * self._rate
         due = self._origin + int(self.seconds * 1e9)
-        while self._next is not None and self._next.ns <= due:
-            publisher = self._publishers.get(self._next.topic)
+        most = self.played + MOST
+        while self._next is not None and self._next.ns <= due and self.played < most:
+            publisher = self._sayers.get(self._next.topic)
             if publisher is not None:
                 publisher.publish(self._next.data)
                 self.played += 1
-                if self._also is not None and self._next.topic == self._clock:
+                if self._also is not None and self._next.topic == self._clock_name:
                     self._also.publish(self._next.data)
             self._next = next(self._messages, None)
         self.done = self._next is None

@@ -264,7 +264,8 @@ class Bag:
         parts = [self._name(topic) for topic in self._needed()]
         if self._name(topics.ODOMETRY) in self.connections:
             parts.append(self._name(topics.ODOMETRY))
-        window, falls = Window(parts), 0
+        window, falls, newest = Window(parts), 0, -1
+        phase = self._name(topics.PHASE)
         for topic, ns, data in self._messages([*readers, beat]):
             if topic == beat:
                 for tick, found in window.take():
@@ -282,11 +283,13 @@ class Bag:
                 ) from error
             if tick >= 0 and not window.put(tick, topic, (data, value)):
                 self.stale += 1
-                if tick < window.last - LATE:
+            if topic == phase:
+                if tick < newest:
                     raise BagError(
-                        f"{self.path}: after tick {window.last}, {topic} begins anew at tick "
+                        f"{self.path}: after tick {newest}, {topic} begins anew at tick "
                         f"{tick}: there are two runs in this bag"
                     )
+                newest = tick
         for tick, found in window.rest():
             falls += self._fell(found)
             yield from self._tick(tick, found, falls, seen)

@@ -1,8 +1,8 @@
 """Records any running robot: ``ros2 run ember_ros recorder_node --ros-args -p bag:=DIR``.
 
-It waits for nobody and nobody waits for it: what it misses, it counts and says. A run whose bag
-must be whole is recorded by its world (``ember walk --bag``, ``sim_node -p bag:=DIR``), with the
-same bytes.
+It says how far it is, and a world in lockstep does not run away from it. What it misses all the
+same, of a robot that waits for nobody, it counts and says. A world can also record itself, with the
+same bytes and at less cost (``ember walk --bag``, ``sim_node -p bag:=DIR``).
 """
 
 from __future__ import annotations
@@ -20,17 +20,19 @@ from rclpy.node import Node
 from ember_ros import topics, wire
 from ember_ros.bag.inquiry import Inquiry
 from ember_ros.bag.recording import Recording, Told, absolute
-from ember_ros.bag.storage import BagOptions, BagWriter
-from ember_ros.bag.window import LATE, Window
+from ember_ros.bag.scribe import Scribe
+from ember_ros.bag.storage import BagOptions, size_of
+from ember_ros.bag.window import Window
 from ember_ros.errors import ParameterError, SignalError
 from ember_ros.params import Params
 from ember_ros.plan import WORLDS, legs_of
-from ember_ros.ros_params import declare_options
+from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.spinning import main_of
 
 WATCH_S = 0.1
 SAY_S = 5.0  # wall time between two lines of progress
 ANSWER_S = 5.0  # wall time that nodes have to say what they were told, from the first message on
+TELL_TICKS = 8
 HELD = 10_000
 """Messages a topic that wait to be heard: a recorder that was held up for a while loses nothing."""
 
@@ -38,7 +40,7 @@ HELD = 10_000
 class _Ear:
     """One robot, heard."""
 
-    def __init__(self, node: Node, writer: BagWriter, namespace: str) -> None:
+    def __init__(self, node: Node, writer: Scribe, namespace: str) -> None:
         self.namespace = namespace
         self.anew = False
         """Whether time began anew: the run that is recorded is over."""
@@ -54,10 +56,19 @@ class _Ear:
         self._told_by: int | None = None  # how many messages were heard when the table answered
         self._falls: deque[bytes] = deque()
         self._first = True
+        self._lasts: dict[str, int] = {}
+        self._tick_ns = 0
         self._readers: dict[str, Callable[[bytes], int]] = {}
-        for topic in self._topics([leg for world in WORLDS for leg in legs_of(world)]):
-            named = topics.Topic(absolute(namespace, topic.name), topic.kind)
-            named.subscribe(node, self._hearer(topic.name), held=HELD)
+        self._progress = self._named(topics.RECORDED).publish(node)
+        self._ready = False
+        self._clocks = 0
+        self._subscriptions = {
+            topic.name: self._named(topic).subscribe(node, self._hearer(topic.name), held=HELD)
+            for topic in self._topics([leg for world in WORLDS for leg in legs_of(world)])
+        }
+
+    def _named(self, topic: topics.Topic) -> topics.Topic:
+        return topics.Topic(absolute(self.namespace, topic.name), topic.kind)
 
     @staticmethod
     def _topics(legs: list[str]) -> list[topics.Topic]:
@@ -71,8 +82,18 @@ class _Ear:
                 self._heard.append((name, bytes(data)))
             else:
                 self._take(name, bytes(data))
+            if name == topics.CLOCK.name:
+                self._tell(bytes(data))
 
         return hear
+
+    def _tell(self, clock: bytes) -> None:
+        """Say now and then which tick was heard."""
+        self._clocks += 1
+        if self._clocks % TELL_TICKS == 0 and self._tick_ns:
+            with contextlib.suppress(SignalError):
+                ns = wire.read_clock(clock, topics.CLOCK.name)
+                self._progress.publish(wire.pack_int(ns // self._tick_ns))
 
     # -- beginning ---------------------------------------------------------------------------
 
@@ -81,6 +102,8 @@ class _Ear:
         if self.recording is not None:
             return
         waiting = self._inquiry.ask()
+        if not waiting and not self._ready and self._inquiry.world is not None:
+            self._get_ready(self._inquiry.world)
         if self._told_by is None and topics.PULL.name not in waiting:
             self._told_by = len(self._heard)
         if not self._heard:
@@ -90,6 +113,18 @@ class _Ear:
             self._since = now
         if not waiting or now - self._since >= ANSWER_S:
             self._begin()
+
+    def _get_ready(self, world: str) -> None:
+        """Let the world begin, once everything that it will say is being listened to."""
+        names = [topic.name for topic in self._topics(list(legs_of(world)))]
+        if all(self._subscriptions[name].handle.get_publisher_count() for name in names):
+            self._ready = True
+            self._tick_ns = self._inquiry.card(world, 0)[0].params.gait.tick_ns
+            last = -1  # or, of a world that is running already, the tick that was heard last
+            for name, data in self._heard:
+                if name == topics.CLOCK.name:
+                    last = wire.read_clock(data, name) // self._tick_ns
+            self._progress.publish(wire.pack_int(last))
 
     def _begin(self) -> None:
         heard, self._heard = self._heard, []
@@ -114,8 +149,10 @@ class _Ear:
         for why in wrong:
             self._node.get_logger().warning(f"the bag cannot be replayed: {why}")
         self.recording = Recording(self._writer, card, table, namespace=self.namespace)
-        for name, data in heard:
-            self._take(name, data)
+        # Topic by topic is how a first turn hears what was waiting: put back in the order of ticks.
+        order = sorted(range(len(heard)), key=lambda n: -1 if ticks[n] is None else ticks[n] or 0)
+        for n in order:
+            self._take(*heard[n])
 
     def _guess(self, names: set[str]) -> str | None:
         """Return the world whose legs were heard, where no sim node says it."""
@@ -127,6 +164,7 @@ class _Ear:
     def _prepare(self, world: str, params: Params) -> None:
         self._legs = legs_of(world)
         tick_ns, ticks = params.gait.tick_ns, params.gait.ticks
+        self._tick_ns = tick_ns
 
         def by_stamp(name: str) -> Callable[[bytes], int]:
             return lambda data: wire.tick_of(wire.stamp_of(data, name), tick_ns, name)
@@ -137,8 +175,7 @@ class _Ear:
         self._readers[clock] = lambda d: wire.tick_of(wire.read_clock(d, clock), tick_ns, clock)
         self._readers[phase] = lambda data: wire.read_phase(data, ticks, phase)[0]
         del self._readers[topics.FALLS.name]
-        self._contact = topics.contact(self._legs[0]).name
-        self._senses = wire.SenseWire(self._legs[0], tick_ns)
+        self._senses = {topics.contact(g).name: wire.SenseWire(g, tick_ns) for g in self._legs}
         # Who has no publisher when it begins is not waited for: a real leg has no odometry.
         spoken = {n for n in names if self._node.count_publishers(absolute(self.namespace, n))}
         self._counts_falls = topics.FALLS.name in spoken
@@ -157,14 +194,20 @@ class _Ear:
             return None
 
     def _take(self, name: str, data: bytes) -> None:
+        if self.anew:
+            return
         if name == topics.FALLS.name:
             self._falls.append(data)
         else:
             tick = self._tick_of(name, data)
             if tick is None:
                 return
+            if name in (topics.CLOCK.name, topics.PHASE.name):
+                if tick < self._lasts.get(name, -1):
+                    self.anew = True
+                    return
+                self._lasts[name] = tick
             if not self._window.put(tick, name, data):
-                self.anew = self.anew or tick < self._window.last - LATE
                 return
         for tick, found in self._window.take():
             self._write(tick, found)
@@ -173,13 +216,12 @@ class _Ear:
         """Return whether a tick comes with a message of falls: the first, and after each fall."""
         if self._first:
             return True
-        if self._contact not in found:
-            return False
-        try:
-            contact = self._senses.read_contact(found[self._contact])[1]
-        except SignalError:
-            return False
-        return contact.first[wire.CONTACT.index("restart")] == 1.0
+        for name, senses in self._senses.items():
+            if name in found:
+                with contextlib.suppress(SignalError):
+                    contact = senses.read_contact(found[name])[1]
+                    return contact.first[wire.CONTACT.index("restart")] == 1.0
+        return False
 
     def _falls_are_there(self, found: Mapping[str, bytes]) -> bool:
         """Return whether the falls that a tick comes with were heard: they carry no stamp."""
@@ -190,7 +232,7 @@ class _Ear:
         falls = self._falls.popleft() if self._falls and self._fell(found) else None
         if falls is not None:
             with contextlib.suppress(SignalError):  # whatever it says, it is recorded
-                self.fallen = wire.read_falls(falls, topics.FALLS.name)
+                self.fallen = wire.read_int(falls, topics.FALLS.name)
         self._first = False
         self.missing += len(self._window.parts - found.keys())
         self.missing += max(0, tick - self.last - 1) * len(self._window.parts) * (self.last >= 0)
@@ -225,9 +267,10 @@ class _Ear:
 
 
 class RecorderNode(Node):  # type: ignore[misc]
-    """Hears everything and says nothing.
+    """Hears everything, and says nothing but how far it is.
 
-    Subscribes: all topics of a robot, as their bytes. Calls, once each, before it begins: the
+    Subscribes: all topics of a robot, as their bytes. Publishes: ``recorder/tick``
+    (std_msgs/Int64), -1 when it is ready. Calls, once each, before it begins: the
     nodes' ``get_parameters`` and ``table/pull``, for what determines the run.
     Parameters: ``bag``, ``storage``, ``split_mb``, ``split_s``, ``all_robots``.
     """
@@ -244,12 +287,12 @@ class RecorderNode(Node):  # type: ignore[misc]
         )
         self.done = False
         names = ("bag", "storage", "split_mb", "split_s")
+        declare_params(self, ())  # refuses unknown names
         options = declare_options(self, (*names, "all_robots"))
         if not options["bag"]:
             raise ParameterError("give the folder of a new bag: --ros-args -p bag:=DIR")
-        self._writer = BagWriter(
-            BagOptions(Path(options["bag"]), *(options[name] for name in names[1:]))
-        )
+        self._folder = Path(options["bag"])
+        self._writer = Scribe(BagOptions(self._folder, *(options[name] for name in names[1:])))
         self._all = options["all_robots"]
         self._ears: dict[str, _Ear] = {}
         if not self._all:
@@ -282,7 +325,7 @@ class RecorderNode(Node):  # type: ignore[misc]
 
     def _say(self) -> None:
         lines = "; ".join(ear.line() for ear in self._ears.values()) or "no robot on the graph yet"
-        self.get_logger().info(f"{lines}; {self._writer.size() / 1e6:.1f} MB")
+        self.get_logger().info(f"{lines}; {size_of(self._folder) / 1e6:.1f} MB")
 
     def finish(self, spin: Callable[[], None]) -> None:
         """Write what was heard, and end the bag well."""
@@ -293,7 +336,7 @@ class RecorderNode(Node):  # type: ignore[misc]
         self._say()
 
     def destroy_node(self) -> None:
-        """Destroy the node; a bag that was not finished is cut off."""
+        """Destroy the node; a bag that was not finished ends here."""
         self._writer.abandon()
         super().destroy_node()
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from ember_ros import topics, wire
 from ember_ros.bag.card import Card
-from ember_ros.bag.storage import BagWriter
+from ember_ros.bag.scribe import Sink
 from ember_ros.plan import legs_of
 from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
 from leg_node.table import Table
@@ -52,7 +52,7 @@ class Recording:
     """One robot's run, going into a bag; whoever made the writer closes it."""
 
     def __init__(
-        self, writer: BagWriter, card: Card, table: Table | None, *, namespace: str = ""
+        self, writer: Sink, card: Card, table: Table | None, *, namespace: str = ""
     ) -> None:
         """Write what determined the run.
 
@@ -77,18 +77,19 @@ class Recording:
         self._crcs = array("I")
         self._next = card.first_tick
 
-        def named(topic: topics.Topic) -> tuple[str, str]:
-            return absolute(namespace, topic.name), topic.kind
+        def channel(topic: topics.Topic) -> int:
+            return writer.channel(absolute(namespace, topic.name), topic.kind)
 
-        self._clock, self._phase = named(topics.CLOCK), named(topics.PHASE)
-        self._falls_topic, self._odometry = named(topics.FALLS), named(topics.ODOMETRY)
-        self._joints_topics = [named(topics.joint_states(leg)) for leg in legs]
-        self._contact_topics = [named(topics.contact(leg)) for leg in legs]
-        self._command_topics = [named(topics.command(leg)) for leg in legs]
-        self._crc = named(topics.CRC)
+        # In the order of a tick.
+        self._before = [channel(t) for t in (topics.CLOCK, topics.FALLS, topics.ODOMETRY)]
+        self._of_legs = [
+            (channel(topics.joint_states(leg)), channel(topics.contact(leg))) for leg in legs
+        ]
+        self._after = [channel(t) for t in (topics.PHASE, *map(topics.command, legs))]
+        self._crc = channel(topics.CRC)
 
         ns = card.first_tick * self._tick_ns
-        writer.write(*named(topics.CARD), ns, wire.pack_text(card.to_json()))
+        writer.write(channel(topics.CARD), ns, wire.pack_text(card.to_json()))
         if table is not None:
             shape = (table.states, table.actions)
             for topic, code, numbers in (
@@ -96,7 +97,7 @@ class Recording:
                 (topics.VISITS, "q", table.visits.astype("<i8")),
             ):
                 data = wire.pack_array(code, ("state", "action"), shape, numbers.tobytes())
-                writer.write(*named(topic), ns, data)
+                writer.write(channel(topic), ns, data)
         writer.flush()
 
     def tick(
@@ -116,7 +117,7 @@ class Recording:
         felt = [
             sense_wire.pack(sense) for sense_wire, sense in zip(self._senses, senses, strict=True)
         ]
-        falls = None if body.falls == self._falls else wire.pack_falls(body.falls)
+        falls = None if body.falls == self._falls else wire.pack_int(body.falls)
         self._falls = body.falls
         told = Told(
             wire.pack_clock(ns),
@@ -138,25 +139,20 @@ class Recording:
         if tick != self._next:
             self._check()  # what is checked together is without gaps
         ns, write = tick * self._tick_ns, self._writer.write
-        for topic, data in (
-            (self._clock, told.clock),
-            (self._falls_topic, told.falls),
-            (self._odometry, told.odometry),
-        ):
+        for channel, data in zip(self._before, told[:3], strict=True):
             if data is not None:
-                write(*topic, ns, data)
-        for n in range(self._legs):
-            joints, contact = told.joints[n], told.contacts[n]
+                write(channel, ns, data)
+        for channels, joints, contact in zip(
+            self._of_legs, told.joints, told.contacts, strict=True
+        ):
             if joints is not None:
-                write(*self._joints_topics[n], ns, joints)
+                write(channels[0], ns, joints)
             if contact is not None:
-                write(*self._contact_topics[n], ns, contact)
+                write(channels[1], ns, contact)
             self._crcs.append(crc_of(joints, contact))
-        if told.phase is not None:
-            write(*self._phase, ns, told.phase)
-        for command_topic, command in zip(self._command_topics, told.commands, strict=True):
-            if command is not None:
-                write(*command_topic, ns, command)
+        for channel, data in zip(self._after, (told.phase, *told.commands), strict=True):
+            if data is not None:
+                write(channel, ns, data)
         self.ticks += 1
         self._next = tick + 1
         if self._next % FLUSH_TICKS == 0:
@@ -171,7 +167,7 @@ class Recording:
         first = self._next - count
         numbers = np.array([first & 0xFFFFFFFF, first >> 32, *self._crcs], "<u4").tobytes()
         data = wire.pack_array("I", ("tick", "leg"), (count, self._legs), numbers, offset=2)
-        self._writer.write(*self._crc, (self._next - 1) * self._tick_ns, data)
+        self._writer.write(self._crc, (self._next - 1) * self._tick_ns, data)
         del self._crcs[:]
 
     def finish(self) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ember_ros.bag.storage import METADATA, STORAGES, BagOptions, BagWriter, needs_rosbags
+from ember_ros.bag.storage import METADATA, STORAGES, BagOptions, BagWriter, lock, needs_rosbags
 from ember_ros.errors import BagError
 
 DRAFT = ".repair"
@@ -54,11 +54,12 @@ def repair(folder: Path) -> Repaired:
     """
     files = _files(folder)
     storage = next(name for name, end in STORAGES.items() if files[0].suffix == end)
+    held = lock(folder)
     draft = folder / DRAFT
     shutil.rmtree(draft, ignore_errors=True)
-    tally = _Tally()
-    writer = BagWriter(BagOptions(draft / folder.resolve().name, storage))
+    tally, writer = _Tally(), None
     try:
+        writer = BagWriter(BagOptions(draft / folder.resolve().name, storage))
         for n, file in enumerate(files):
             if n:
                 writer.begin_file()
@@ -66,15 +67,27 @@ def repair(folder: Path) -> Repaired:
         if not writer.messages:
             raise BagError(f"nothing in {folder} is whole: not one chunk was finished")
         writer.close()
-        for file in files:
-            file.unlink()
-        for file in sorted(writer.folder.iterdir(), key=lambda file: file.name == METADATA):
+        made = sorted(writer.folder.iterdir(), key=lambda file: file.name == METADATA)
+        for file in made:  # over the old ones: at no moment are there none
             os.replace(file, folder / file.name)
+        for file in files:
+            Path(f"{file}-journal").unlink(missing_ok=True)  # of the old database
+            if file.name not in {each.name for each in made}:
+                file.unlink()
     except OSError as error:
         raise BagError(f"cannot repair {folder}: {error.strerror}") from error
+    except BagError as error:
+        why: object = error
+        if str(draft) in str(error):  # the writer's own: it speaks of a folder that is gone
+            why = getattr(error.__cause__, "strerror", None) or error.__cause__
+        elif str(folder) in str(error):
+            raise
+        raise BagError(f"cannot repair {folder}: {why}") from error
     finally:
-        writer.abandon()
+        if writer is not None:
+            writer.abandon()
         shutil.rmtree(draft, ignore_errors=True)
+        os.close(held)
     seconds = (tally.last - (tally.first or 0)) * 1e-9
     return Repaired(writer.messages, seconds, tally.chunks, tally.damaged, tally.torn)
 
@@ -102,36 +115,60 @@ def _copy_mcap(file: Path, writer: BagWriter, tally: _Tally) -> None:
         from mcap.stream_reader import StreamReader, breakup_chunk
     except ModuleNotFoundError as error:
         raise needs_rosbags(error) from error
+    known: dict[int, tuple[str, str]] = {}
     schemas: dict[int, str] = {}
-    channels: dict[int, tuple[str, str]] = {}
-    size = file.stat().st_size
+
+    def learn(each: Any) -> None:
+        if isinstance(each, Schema):
+            schemas[each.id] = each.name
+        elif isinstance(each, Channel) and each.schema_id in schemas:
+            known[each.id] = each.topic, schemas[each.schema_id]
+
+    def read(raw: Any) -> Iterator[tuple[Any, Any, int]]:
+        """Yield whole records, what is inside, None for a broken chunk, and where each ends."""
+        records = iter(StreamReader(raw, emit_chunks=True).records)
+        while True:
+            # A torn record makes the reader raise nearly anything; there is nothing behind it.
+            try:
+                record = next(records, None)
+            except Exception:
+                return
+            inside: Any = [record]
+            if isinstance(record, Chunk):
+                try:
+                    inside = breakup_chunk(record, validate_crc=True)
+                except Exception:  # zstd, struct and mcap raise nearly anything
+                    inside = None
+            yield record, inside, raw.tell()
+            if record is None:
+                return
+
+    size, whole = file.stat().st_size, 0
     with file.open("rb") as raw:
-        records: Iterator[Any] = StreamReader(raw, emit_chunks=True).records
-        whole = 0
-        # A torn record makes the reader raise nearly anything; there is nothing behind it.
-        with contextlib.suppress(Exception):
-            for record in records:
-                inside = [record]
-                if isinstance(record, Chunk):
-                    try:
-                        inside = breakup_chunk(record, validate_crc=True)
-                    except Exception:  # zstd, struct and mcap raise nearly anything
-                        if raw.tell() < size:
-                            tally.damaged += 1
-                            continue
-                        break
-                    tally.chunks += 1
-                whole = raw.tell()
-                for each in inside:
-                    if isinstance(each, Schema):
-                        schemas[each.id] = each.name
-                    elif isinstance(each, Channel):
-                        channels[each.id] = each.topic, schemas[each.schema_id]
-                    elif isinstance(each, Message):
-                        writer.write(*channels[each.channel_id], each.log_time, each.data)
-                        tally.see(each.log_time)
-                if isinstance(record, Chunk):
-                    writer.flush()
+        # What channels there are is said again at the end of a file that was finished.
+        for _, inside, _ in read(raw):
+            for each in inside or ():
+                learn(each)
+        raw.seek(0)
+        channels: dict[int, int] = {}
+        for record, inside, end in read(raw):
+            if inside is None:
+                if end == size:
+                    break
+                tally.damaged += 1
+                continue
+            whole = end
+            for each in inside:
+                if isinstance(each, Channel) and isinstance(record, Chunk) and each.id in known:
+                    channels[each.id] = writer.channel(*known[each.id])
+                elif isinstance(each, Message) and each.channel_id in known:
+                    if each.channel_id not in channels:
+                        channels[each.channel_id] = writer.channel(*known[each.channel_id])
+                    writer.write(channels[each.channel_id], each.log_time, each.data)
+                    tally.see(each.log_time)
+            if isinstance(record, Chunk):
+                tally.chunks += 1
+                writer.flush()
     tally.torn += size - whole
 
 
@@ -140,12 +177,15 @@ def _copy_sqlite3(file: Path, writer: BagWriter, tally: _Tally) -> None:
     try:
         # Not read-only: SQLite rolls back what was not finished when it may write.
         with contextlib.closing(sqlite3.connect(file)) as database:
-            topics = dict[int, tuple[str, str]]()
-            for number, name, kind in database.execute("SELECT id, name, type FROM topics"):
-                topics[number] = name, kind
+            topics = {
+                number: writer.channel(str(name), str(kind))
+                for number, name, kind in database.execute("SELECT id, name, type FROM topics")
+            }
             rows = database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id")
             for number, ns, data in rows:
-                writer.write(*topics[number], ns, data)
+                if number not in topics or type(ns) is not int or type(data) is not bytes:
+                    raise BagError(f"{file} is no whole database: a message of it is damaged")
+                writer.write(topics[number], ns, data)
                 tally.see(ns)
             tally.chunks += len(topics)
             writer.flush()

@@ -197,6 +197,9 @@ def replay(
             "was made by another recorder; `ember bag info`, `ember play` and `ember relearn` "
             "work with it"
         )
+    bag.card.plan(0, None)  # says in words what cannot be replayed
+    if bag.table is None:
+        raise BagError(f"{bag.path}: the table at its start is not in the bag")
     ticks_a_cycle = bag.params.gait.ticks
     world = RecordedWorld(bag.legs, bag.ticks(), rate / bag.params.gait.tick_s)
     with tempfile.TemporaryDirectory(prefix="ember_ros_replay_") as name:
@@ -207,7 +210,7 @@ def replay(
         done, table = (_by_loop if on == "loop" else _by_graph)(plan, world, folder, go_on)
         seconds = time.perf_counter() - began
     difference = world.difference
-    for damage in bag.damages[:1]:
+    for damage in [each for each in bag.damages if each.tick < done][:1]:
         if difference is None or damage.tick <= difference.tick:
             difference = Difference(
                 damage.tick,
@@ -224,7 +227,7 @@ def replay(
         difference=difference,
         missing=world.missing,
         table=table,
-        recorded_sha256=bag.table_sha256 if world.over else None,
+        recorded_sha256=bag.table_sha256 if world.over and not world.missing else None,
         seconds=seconds,
     )
 

@@ -6,35 +6,25 @@ the trained table, a knee written by hand, a random knee, and legs that start fr
 
 from __future__ import annotations
 
-import concurrent.futures
-import json
-import multiprocessing
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from ember_ros.experiments.seeds import LOW_M, TILT_RAD, each_seed, outside
 from ember_ros.params import Params, replace
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import Record
 from ember_ros.run import TABLE, run
 from ember_ros.versions import versions
 
-TILT_RAD, LOW_M = 0.3, 0.36
-"""A cycle with more tilt or lower hips than this is counted as outside, fall or no fall."""
+CYCLES = 6000
 SMOOTH = {"walk.smooth": 0.3, "walk.epsilon_start": 0.0, "walk.epsilon_end": 0.0}
 """Neighbours have a say (``leg_node/reading.py``), and nothing is tried at random."""
 WALKERS = ("trained", "trained, smoothed", "scripted", "random", "empty table")
-WORKERS = 2
 
 
-def _outside(record: Record) -> float:
-    """Return the share of cycles with too much tilt or hips too low."""
-    rows = record.body_rows()
-    bad = sum((r.tilt_max_rad or 0) > TILT_RAD or (r.height_min_m or 0) < LOW_M for r in rows)
-    return bad / len(rows)
-
-
-def one_seed(seed: int, train_cycles: int, walk_cycles: int, out: Path) -> dict[str, Any]:
+def one_seed(seed: int, *, train_cycles: int, walk_cycles: int, out: Path) -> dict[str, Any]:
     """Train and walk with one seed, and return plain numbers."""
     params, folder = Params(), out / f"seed{seed}"
 
@@ -57,7 +47,7 @@ def one_seed(seed: int, train_cycles: int, walk_cycles: int, out: Path) -> dict[
         )
         record, summary = go(plan, name.replace(",", "").replace(" ", "_"))
         keys = ("falls", "first_fall", "distance_per_cycle_m", "roll_sd_rad", "pitch_sd_rad")
-        found[name] = {key: summary[key] for key in keys} | {"outside": _outside(record)}
+        found[name] = {key: summary[key] for key in keys} | {"outside": outside(record)}
     return found
 
 
@@ -73,14 +63,8 @@ def first_light(
         out: folder for the runs.
         say: told how many seeds are done; returns whether to go on.
     """
-    context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(WORKERS, mp_context=context) as pool:
-        jobs = [pool.submit(one_seed, s, train_cycles, walk_cycles, out) for s in range(seeds)]
-        for done, _ in enumerate(concurrent.futures.as_completed(jobs), 1):
-            if not say(done, 0):
-                pool.shutdown(cancel_futures=True)
-                break
-        return [job.result() for job in jobs if job.done() and not job.cancelled()]
+    job = functools.partial(one_seed, train_cycles=train_cycles, walk_cycles=walk_cycles, out=out)
+    return each_seed(job, seeds, say)
 
 
 def page(found: list[dict[str, Any]], train_cycles: int, walk_cycles: int, command: str) -> str:
@@ -132,9 +116,3 @@ def page(found: list[dict[str, Any]], train_cycles: int, walk_cycles: int, comma
                 f"{w['pitch_sd_rad']:.3f} | {w['outside']:.1%} |"
             )
     return "\n".join(lines) + "\n"
-
-
-def write(found: list[dict[str, Any]], text: str, out: Path) -> None:
-    """Write the page and the numbers behind it."""
-    (out / "first-light.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    (out / "first-light.md").write_text(text, encoding="utf-8")

@@ -1,0 +1,951 @@
+"""Recorder, player and the world that records itself: what is heard, asked, written and said."""
+
+from __future__ import annotations
+
+import resource
+import signal
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import closing
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool
+
+from cpg_node.node import CpgNode
+from ember_ros import topics, wire
+from ember_ros.bag import player_node, recorder_node
+from ember_ros.bag.card import Card
+from ember_ros.bag.inquiry import Inquiry
+from ember_ros.bag.player_node import PlayerNode
+from ember_ros.bag.reading import Bag, Raw
+from ember_ros.bag.recorder_node import RecorderNode
+from ember_ros.bag.recording import Recording, absolute
+from ember_ros.bag.relearn import relearn
+from ember_ros.bag.repair import repair
+from ember_ros.bag.replay import replay
+from ember_ros.bag.storage import BagOptions, BagWriter, read_metadata, size_of
+from ember_ros.errors import BagError, ParameterError
+from ember_ros.graph import Graph, node_options
+from ember_ros.loop import Loop
+from ember_ros.params import Params, as_dict, replace
+from ember_ros.plan import Plan
+from ember_ros.signals import LEGS, LegCommand
+from ember_ros.versions import versions
+from leg_node.node import LegNode
+from leg_node.table import empty_table, save_table
+from leg_node.table_node import TableNode
+from sim_node import node as sim_module
+from sim_node.fake import FakeWorld
+from sim_node.node import SimNode
+
+if TYPE_CHECKING:
+    from test.conftest import Ros
+
+pytestmark = pytest.mark.skipif(find_spec("rosbags") is None, reason="rosbags is missing")
+
+CYCLES = 4
+TICKS = 32
+ALL = CYCLES * TICKS
+TICK_NS = Params().gait.tick_ns
+PATIENCE_S = 30.0
+"""Wall time that nodes wait where bits are compared: a busy machine must not change them."""
+FALLS = {50, 51}
+SMALL: dict[str, Any] = {
+    "state.hip_bins": 5, "state.force_edges": [0.25, 1.0], "state.inclination_edges": [-0.6, -0.4],
+    "walk.epsilon_start": 0.2, "walk.epsilon_end": 0.2,
+}  # fmt: skip
+"""A walker that explores, on a small table."""
+
+
+def plan(cycles: int = CYCLES, *, seed: int = 3, **options: Any) -> Plan:
+    """Return a plan of a small walker; options with ``__`` in their names are parameters."""
+    changes = {n.replace("__", "."): options.pop(n) for n in list(options) if "__" in n}
+    return Plan("walker", cycles, seed=seed, params=replace(Params(), SMALL | changes), **options)
+
+
+def world_of(plan: Plan) -> FakeWorld:
+    """Return a world without physics, in which the robot falls twice."""
+    return FakeWorld(plan.legs, plan.params, falls_at=FALLS)
+
+
+def given(parameters: dict[str, Any]) -> list[Parameter]:
+    """Return parameters as rclpy takes them."""
+    return [Parameter(name, value=value) for name, value in parameters.items()]
+
+
+def matched(*nodes: Any) -> bool:
+    """Return whether every subscription of these nodes has every publisher of theirs."""
+    heard = Counter(each.topic_name for node in nodes for each in node.subscriptions)
+    return all(
+        each.get_subscription_count() >= heard[each.topic_name]
+        for node in nodes
+        for each in node.publishers
+    )
+
+
+KINDS: dict[str, Any] = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
+
+
+class Robot:
+    """The nodes of a plan one by one: first all but the world, and then, by ``begin``, that."""
+
+    def __init__(
+        self,
+        ros: Ros,
+        plan: Plan,
+        namespace: str = "",
+        *,
+        without: Collection[str] = (),
+        **options: dict[str, Any],
+    ) -> None:
+        """Start all nodes but the world and those left out, with some options changed."""
+        self._ros, self._plan, self.namespace = ros, plan, namespace
+        self.nodes: dict[str, Any] = {}
+        for name in node_options(plan):
+            if name not in ("sim_node", *without):
+                self.nodes[name] = ros.add(self._make(name, options.get(name, {})))
+
+    def _make(self, name: str, changes: dict[str, Any]) -> Any:
+        numbers = {
+            f"{group}.{field}": value
+            for group, fields in as_dict(self._plan.params).items()
+            for field, value in fields.items()
+        }
+        own = node_options(self._plan, patience=PATIENCE_S)[name]
+        extra: dict[str, Any] = {"node_name": name} if name.startswith("leg_") else {}
+        if name == "sim_node":
+            extra = {"world": world_of(self._plan)}
+        return KINDS.get(name, LegNode)(
+            context=self._ros.context,
+            namespace=self.namespace,
+            parameter_overrides=given({**numbers, **own, **changes}),
+            **extra,
+        )
+
+    @property
+    def sim(self) -> Any:
+        """Return the sim node."""
+        return self.nodes["sim_node"]
+
+    @property
+    def tick(self) -> int:
+        """Return the world's present tick."""
+        return int(self.sim.tick)
+
+    @property
+    def table(self) -> str:
+        """Return the SHA-256 of the shared table."""
+        return str(self.nodes["table_node"].shared.table.sha256())
+
+    def begin(self, *listeners: Any, **options: Any) -> None:
+        """Start the world, once everybody is matched with it."""
+        sim = self._make("sim_node", options)
+        try:
+            self._ros.spin_until(
+                lambda: matched(sim, *self.nodes.values(), *listeners), "all are matched"
+            )
+        finally:
+            self.nodes["sim_node"] = self._ros.add(sim)
+
+    def kill(self, name: str) -> None:
+        """Destroy a node where it stands."""
+        self._ros.remove(self.nodes.pop(name))
+
+    def walk_to(self, tick: int) -> None:
+        """Spin until the world is at a tick, or done."""
+        self._ros.spin_until(lambda: self.tick >= tick or self.sim.done, f"tick {tick}")
+
+    def finish(self) -> None:
+        """End all nodes, the world first and the table last."""
+        last = {"sim_node": 0, "table_node": 2}
+        for name in sorted(self.nodes, key=lambda name: last.get(name, 1)):
+            self.nodes[name].finish(self._ros.spin_once)
+
+    def run(self) -> None:
+        """Run to the end."""
+        self._ros.spin_until(lambda: self.sim.done, "the last tick")
+        self.finish()
+
+
+def recording(ros: Ros, folder: Path, namespace: str = "", **parameters: Any) -> Any:
+    """Return a recorder node that spins."""
+    return ros.add(
+        RecorderNode(
+            context=ros.context,
+            namespace=namespace,
+            parameter_overrides=given({"bag": str(folder), **parameters}),
+        )
+    )
+
+
+def ear_of(recorder: Any, namespace: str = "") -> Any:
+    """Return what a recorder keeps of one robot."""
+    return recorder._ears[namespace]
+
+
+def until_recorded(ros: Ros, recorder: Any, ticks: int, namespace: str = "") -> None:
+    """Spin until a recorder has written so many ticks of a robot."""
+
+    def written() -> bool:
+        ear = ear_of(recorder, namespace)
+        return ear.recording is not None and ear.recording.ticks >= ticks
+
+    ros.spin_until(written, f"{ticks} ticks are recorded")
+
+
+def until_quiet(ros: Ros, messages: int = 0) -> None:
+    """Let everything be heard that was said in this process: one callback a turn."""
+    for _ in range(messages + 200):
+        ros.spin_once(0.0)
+
+
+def bytes_of(bag: Path) -> dict[str, bytes]:
+    """Return the files of a bag but its metadata."""
+    return {file.name: file.read_bytes() for file in bag.iterdir() if file.suffix == ".mcap"}
+
+
+def warnings(ros: Ros) -> Callable[[], str]:
+    """Listen to the log of all nodes; return a function that gives what was warned of so far."""
+    heard = ros.messages(topics.Topic("/rosout", "rcl_interfaces/msg/Log"), matched=False)
+
+    def said() -> str:
+        until_quiet(ros)
+        return "\n".join(f"{m.name}: {m.msg}" for m in heard if m.level > 20)
+
+    return said
+
+
+def by_loop(folder: Path, plan: Plan, *namespaces: str) -> Path:
+    """Record a run in the loop, the same for each namespace, into one bag."""
+    writer = BagWriter(BagOptions(folder))
+    try:
+        loop = Loop(plan, world_of(plan))
+        card = Card.of_plan(plan, loop.shared.table, versions())
+        recordings = [
+            Recording(writer, card, loop.shared.table, namespace=each)
+            for each in namespaces or [""]
+        ]
+        for _ in range(plan.cycles * TICKS):
+            loop.tick(*recordings)
+        for each in recordings:
+            each.finish()
+        writer.close()
+    finally:
+        writer.abandon()
+    return folder
+
+
+def raws_of(bag: Path) -> list[Raw]:
+    """Return all messages of a bag in order, but those that only bags carry."""
+    with Bag(bag) as opened:
+        return [raw for raw in opened.raw() if "/run/" not in raw.topic]
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the bag of a run of a loop."""
+    return by_loop(tmp_path_factory.mktemp("walked") / "bag", plan())
+
+
+# -- the recorder beside a robot ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("namespace", ["", "deep/robot_2"])
+def test_a_recorder_writes_the_bytes_that_the_world_writes(
+    ros: Ros, tmp_path: Path, namespace: str
+) -> None:
+    """Started before the world it hears everything: the same file as the world's own, whole."""
+    own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
+    said = warnings(ros)
+    recorder = recording(ros, heard, namespace)
+    robot = Robot(ros, plan(), namespace)
+    robot.begin(recorder, bag=str(own))
+    robot.run()
+    until_recorded(ros, recorder, ALL, namespace)
+    assert ear_of(recorder, namespace).missing == 0
+    recorder.finish(ros.spin_once)
+    assert list(bytes_of(heard)) == ["bag_0.mcap"]
+    assert bytes_of(heard) == bytes_of(own)
+    assert read_metadata(heard) == read_metadata(own)
+    assert "cannot be replayed" not in said()
+    with Bag(heard) as bag:
+        assert bag.namespace == namespace
+        done = replay(bag)
+    assert done.equal
+    assert (done.ticks, done.compared) == (ALL, 4 * ALL)
+    assert done.table.sha256() == robot.table
+
+
+def test_a_recorder_records_every_robot_on_the_graph(ros: Ros, tmp_path: Path) -> None:
+    """Two robots, one's name the beginning of the other's, one bag: each is replayed by itself."""
+    plans = {"robot_1": plan(seed=8), "robot_12": plan(seed=9, walk__sync_every=4)}
+    robots = {name: Robot(ros, each, name) for name, each in plans.items()}
+    recorder = recording(ros, tmp_path / "bag", all_robots=True)
+    for name in robots:
+        ros.spin_until(
+            lambda name=name: ros.node.count_publishers(f"/{name}/{topics.RECORDED.name}"),  # type: ignore[misc]
+            f"the recorder listens to {name}",
+        )
+    for robot in robots.values():
+        robot.begin(recorder)
+    ros.spin_until(lambda: all(robot.sim.done for robot in robots.values()), "the last ticks")
+    for name, robot in robots.items():
+        robot.finish()
+        until_recorded(ros, recorder, ALL, name)
+        assert ear_of(recorder, name).missing == 0
+    recorder.finish(ros.spin_once)
+    with pytest.raises(BagError, match=r"has robots in /robot_1, /robot_12: choose one"):
+        Bag(tmp_path / "bag")
+    for name, robot in robots.items():
+        with Bag(tmp_path / "bag", namespace=name) as bag:
+            assert bag.card is not None
+            assert bag.card.legs["rear_left"].seed == plans[name].seed
+            done = replay(bag)
+        assert (done.difference, done.missing, done.ticks) == (None, None, ALL)
+        assert done.table.sha256() == robot.table
+        alone = tmp_path / name / "bag"
+        by_loop(alone, plans[name])
+        with Bag(alone) as bag:
+            assert replay(bag).table.sha256() == robot.table
+
+
+def test_a_recorder_that_joins_late_and_leaves_early_says_so_and_holds_nobody(
+    ros: Ros, tmp_path: Path
+) -> None:
+    """The card has the first tick, a replay refuses in words, what is there can be learnt from."""
+    said = warnings(ros)
+    robot = Robot(ros, plan(10**6))
+    robot.begin(patience=2.0)
+    robot.walk_to(100)
+    joined = robot.tick
+    recorder = recording(ros, tmp_path / "bag")
+    until_recorded(ros, recorder, 100)
+    recorder.finish(ros.spin_once)
+    ros.remove(recorder)
+    robot.walk_to(robot.tick + 100)
+    assert "recorded from tick" in said()
+    assert "not waited for any more" not in said()
+    with Bag(tmp_path / "bag") as bag:
+        assert bag.card is not None
+        first = bag.card.first_tick
+        assert first >= joined - 1
+        assert next(bag.raw()).ns == first * TICK_NS
+        ticks = list(bag.ticks())
+        assert [tick.tick for tick in ticks] == list(
+            range(ticks[0].tick, ticks[0].tick + len(ticks))
+        )
+        assert bag.table is None
+        with pytest.raises(BagError, match=rf"it was recorded from tick {first} on"):
+            replay(bag)
+    learnt = relearn([tmp_path / "bag"])
+    assert learnt.ticks == len(ticks)
+    assert learnt.updates > 0
+
+
+def test_a_table_that_was_asked_for_too_late_is_not_the_one_at_the_start(
+    ros: Ros, tmp_path: Path, walked: Path
+) -> None:
+    """When legs may have learnt into it nobody knows what they began with; a replay says so."""
+    said = warnings(ros)
+    recorder = recording(ros, tmp_path / "bag")
+    voice = Voice(ros, recorder, raws_of(walked))
+    voice.say(range(40))
+    ros.add(TableNode(context=ros.context))
+    until_heard(ros, recorder, 39)
+    recorder.finish(ros.spin_once)
+    assert "legs had already learnt" in said()
+    with Bag(tmp_path / "bag") as bag:
+        assert bag.card is not None
+        assert (bag.card.first_tick, bag.card.start_table_sha256, bag.table) == (0, None, None)
+        with pytest.raises(BagError, match="table at its start was not asked for in time"):
+            replay(bag)
+
+
+def test_a_leg_that_dies_costs_its_commands_and_nothing_else(ros: Ros, tmp_path: Path) -> None:
+    """The others, all senses and the body are there, tick by tick; the replay is equal."""
+    own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
+    recorder = recording(ros, heard)
+    robot = Robot(ros, plan(10**6, learning=False))
+    robot.begin(recorder, bag=str(own), patience=0.5)
+    until_recorded(ros, recorder, 40)
+    robot.kill("leg_rear_left")
+    died = robot.tick
+    robot.walk_to(died + 100)
+    robot.finish()
+    done = robot.tick
+    until_quiet(ros)
+    recorder.finish(ros.spin_once)
+    for folder in (own, heard):
+        with Bag(folder) as bag:
+            ticks = list(bag.ticks())[:done]
+            assert [tick.tick for tick in ticks] == list(range(done))
+            assert not any(sense is None for tick in ticks for sense in tick.senses)
+            answered = {
+                leg: [tick.tick for tick in ticks if tick.commands[n] is not None]
+                for n, leg in enumerate(LEGS)
+            }
+            gone = answered.pop("rear_left")
+            assert gone == list(range(len(gone)))
+            assert len(gone) in (died, died + 1)
+            assert all(ticks_of == list(range(done)) for ticks_of in answered.values())
+            again = replay(bag)
+        assert again.difference is None
+        assert again.unanswered["rear_left"] >= done - len(gone)
+    assert ear_of(recorder).missing >= done - len(gone)
+
+
+def test_nobody_is_there_and_the_bag_is_empty_and_whole(ros: Ros, tmp_path: Path) -> None:
+    """A recorder that heard nobody leaves a bag that every reader opens, with nothing in it."""
+    for name, every in {"one": False, "all": True}.items():
+        recorder = recording(ros, tmp_path / name, all_robots=every)
+        until_quiet(ros)
+        recorder.finish(ros.spin_once)
+        ros.remove(recorder)
+        assert read_metadata(tmp_path / name)["message_count"] == 0
+        with pytest.raises(BagError, match="has no robot of ember_ros in it"):
+            Bag(tmp_path / name)
+
+
+def test_a_recorder_must_be_told_where_to(ros: Ros, tmp_path: Path) -> None:
+    """No ``bag``, an unknown parameter, a storage that is none, a bag that is there already."""
+    (tmp_path / "there").mkdir()
+
+    def make(**parameters: Any) -> None:
+        RecorderNode(context=ros.context, parameter_overrides=given(parameters))
+
+    with pytest.raises(ParameterError, match="give the folder of a new bag"):
+        make()
+    with pytest.raises(ParameterError, match="no parameter 'bags'"):
+        make(bag=str(tmp_path / "bag"), bags="x")
+    with pytest.raises(ParameterError, match=r"storage = 'tape' must be one of"):
+        make(bag=str(tmp_path / "bag"), storage="tape")
+    with pytest.raises(BagError, match="is there already"):
+        make(bag=str(tmp_path / "there"))
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
+# -- the recorder beside whoever says the same -------------------------------------------------
+
+
+class Voice:
+    """Says what lies in a bag, message by message, and has no parameters of ours."""
+
+    def __init__(self, ros: Ros, recorder: Any, *runs: Sequence[Raw]) -> None:
+        """Match a publisher of each topic with the recorder."""
+        self._ros = ros
+        kinds = {raw.topic: raw.kind for run in runs for raw in run}
+        self._raws = runs[0]
+        self.publishers = {
+            topic: topics.Topic(topic, kind).publish(ros.node) for topic, kind in kinds.items()
+        }
+        ros.spin_until(lambda: matched(ros.node, recorder), "the recorder listens")
+        until_quiet(ros)  # what is said before an executor knows a node is heard topic by topic
+
+    def say(
+        self, ticks: Collection[int], raws: Sequence[Raw] = (), *, without: Iterable[Raw] = ()
+    ) -> list[Raw]:
+        """Publish all messages of some ticks but those left out; return what was said."""
+        left_out = {(raw.topic, raw.ns) for raw in without}
+        told = [
+            raw
+            for raw in raws or self._raws
+            if raw.ns // TICK_NS in ticks and (raw.topic, raw.ns) not in left_out
+        ]
+        for raw in told:
+            self.publishers[raw.topic].publish(raw.data)
+        until_quiet(self._ros, len(told))
+        return told
+
+
+def until_heard(ros: Ros, recorder: Any, tick: int) -> None:
+    """Spin until a recorder has begun to record, and has heard of a tick."""
+
+    def heard() -> bool:
+        ear = ear_of(recorder)
+        return ear.recording is not None and ear._window._newest >= tick
+
+    ros.spin_until(heard, f"tick {tick} is heard")
+    until_quiet(ros)
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a recorder wait for nobody's answer."""
+    monkeypatch.setattr(recorder_node, "ANSWER_S", 0.0)
+
+
+def named(*messages: tuple[str, int]) -> list[Raw]:
+    """Return messages by topic and tick, without content."""
+    return [Raw(absolute("", topic), "", tick * TICK_NS, b"") for topic, tick in messages]
+
+
+EACH = [topics.CLOCK, topics.ODOMETRY, topics.PHASE]
+EACH += [
+    make(leg) for leg in LEGS for make in (topics.joint_states, topics.contact, topics.command)
+]
+LOST: dict[str, tuple[list[tuple[str, int]], int]] = {
+    "nothing": ([], 0),
+    "one of each topic": ([(each.name, 5 + 3 * n) for n, each in enumerate(EACH)], 15),
+    "one topic for a while": ([("rear_left/joint_states", n) for n in range(20, 90)], 70),
+    "a whole tick": ([(each.name, 30) for each in EACH], 15),
+    "a whole second, with two falls in it": (
+        [(each.name, n) for each in (*EACH, topics.FALLS) for n in range(20, 84)],
+        15 * 64,
+    ),
+    "the first tick's senses": ([(topics.contact(leg).name, 0) for leg in LEGS], 4),
+    "the last tick's commands": ([(topics.command(leg).name, ALL - 1) for leg in LEGS], 4),
+    "a fall": ([("falls", 51)], 0),
+    "the touch that tells of a fall": ([("front_left/contact", 50)], 1),
+}
+"""What is lost, and how many messages that is, falls not counted: they carry no tick."""
+
+
+@pytest.mark.parametrize("what", LOST)
+def test_what_a_recorder_misses_is_counted_and_the_rest_is_as_it_was_said(
+    ros: Ros, tmp_path: Path, walked: Path, at_once: None, what: str
+) -> None:
+    """Everything that was heard is in the bag, byte by byte and in its order, and nothing else."""
+    lost, count = LOST[what]
+    recorder = recording(ros, tmp_path / "bag")
+    voice = Voice(ros, recorder, raws_of(walked))
+    said = voice.say(range(ALL), without=named(*lost))
+    until_heard(ros, recorder, ALL - 1)
+    recorder.finish(ros.spin_once)
+    assert ear_of(recorder).missing == count
+    assert raws_of(tmp_path / "bag") == said
+
+
+@pytest.mark.parametrize("life", [100, 40, 3])
+def test_time_that_begins_anew_ends_the_bag(
+    ros: Ros, tmp_path: Path, walked: Path, at_once: None, life: int
+) -> None:
+    """One run a bag: the recorder is done, and nothing of the second run is in it."""
+    other = raws_of(by_loop(tmp_path / "other", plan(seed=4)))
+    recorder = recording(ros, tmp_path / "bag")
+    voice = Voice(ros, recorder, raws_of(walked), other)
+    said = voice.say(range(life))
+    until_heard(ros, recorder, life - 1)
+    assert not recorder.done
+    voice.say(range(ALL), other)
+    ros.spin_until(lambda: recorder.done, "the recorder is done")
+    recorder.finish(ros.spin_once)
+    assert raws_of(tmp_path / "bag") == said
+
+
+def test_what_is_no_message_is_not_recorded_and_disturbs_nobody(
+    ros: Ros, tmp_path: Path, walked: Path, at_once: None
+) -> None:
+    """Nonsense on a robot's topics carries no tick: it is left out, and all else is written."""
+    recorder = recording(ros, tmp_path / "bag")
+    voice = Voice(ros, recorder, raws_of(walked))
+    said = voice.say(range(60))
+    until_heard(ros, recorder, 59)
+    for topic in ("/rear_left/joint_states", "/cpg/phase", "/clock", "/rear_left/command"):
+        voice.publishers[topic].publish(b"\0\1\0\0short")
+    said += voice.say(range(60, ALL))
+    until_heard(ros, recorder, ALL - 1)
+    recorder.finish(ros.spin_once)
+    assert raws_of(tmp_path / "bag") == said
+
+
+# -- the world that records itself -------------------------------------------------------------
+
+
+def test_the_world_asks_legs_and_table_what_determines_its_run(ros: Ros, tmp_path: Path) -> None:
+    """Told nothing but the folder: the card is the plan's, the table the one at the start."""
+    table = empty_table(plan().params)
+    table.values[::7], table.visits[::7] = 0.25, 3
+    save_table(tmp_path / "table.npz", table, plan().params, 0)
+    own = plan(
+        seed=7, policy="random", table=tmp_path / "table.npz", reward__slip=2.0,
+        walk__smooth=0.3, physics__friction=0.9, walker__mass=4.0, trainer__tip_mass=2.0,
+        leg__load=20.0, train__gamma=0.7,
+    )  # fmt: skip
+    save_table(tmp_path / "table.npz", table, own.params, 0)
+    graph = Graph(
+        own, patience=PATIENCE_S, bag=BagOptions(tmp_path / "bag"), world=world_of(own),
+        namespace="robot_1", context=ros.context,
+    )  # fmt: skip
+    with closing(graph):
+        ros.spin_until(lambda: graph.sim.done, "the last tick", graph.spin_once)
+        graph.finish()
+        learnt = graph.nodes["table_node"].shared.table.sha256()
+    with Bag(tmp_path / "bag") as bag:
+        assert bag.card == Card.of_plan(own, table, versions())
+        assert bag.table is not None
+        assert bag.table.sha256() == table.sha256()
+        done = replay(bag)
+    assert done.equal
+    assert done.table.sha256() == learnt != table.sha256()
+
+
+class OtherLeg(Node):  # type: ignore[misc]
+    """A leg of others' making: it answers every tick, and has no parameter of ours."""
+
+    def __init__(self, leg: str, **kwargs: Any) -> None:
+        """Answer what ``leg`` senses with a knee that is held still."""
+        super().__init__("driver", **kwargs)
+        senses, commands = wire.SenseWire(leg, TICK_NS), wire.CommandWire(leg, TICK_NS)
+        publisher = topics.command(leg).publish(self)
+
+        def hear(data: bytes) -> None:
+            tick, _ = senses.read_joints(data)
+            publisher.publish(commands.pack(LegCommand(tick, 1.0, 0.0, 12.0, 16.0)))
+
+        topics.joint_states(leg).subscribe(self, hear)
+        topics.contact(leg).subscribe(self, lambda data: None)
+
+
+@pytest.mark.parametrize("services", [True, False], ids=["asked", "cannot be asked"])
+def test_a_leg_of_others_making_is_recorded_and_not_replayed(
+    ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, services: bool
+) -> None:
+    """The bag says why it cannot be replayed, in the log and when it is tried; learning works."""
+    monkeypatch.setattr(sim_module, "ANSWER_S", 0.5)
+    said = warnings(ros)
+    robot = Robot(ros, plan(2), without=["leg_rear_left"])
+    robot.nodes["other"] = ros.add(
+        OtherLeg("rear_left", context=ros.context, start_parameter_services=services)
+    )
+    robot.begin(bag=str(tmp_path / "bag"), patience=0.5 if not services else PATIENCE_S)
+    ros.spin_until(lambda: robot.sim.done, "the last tick")
+    robot.sim.finish(ros.spin_once)
+    assert "cannot be replayed: rear_left does not say what it was told" in said()
+    with Bag(tmp_path / "bag") as bag:
+        assert bag.card is not None
+        assert list(bag.card.legs) == [leg for leg in LEGS if leg != "rear_left"]
+        ticks = list(bag.ticks())
+        assert len(ticks) == 2 * TICKS
+        assert {c.knee_speed for t in ticks if (c := t.commands[2]) is not None} == {0.0}
+        with pytest.raises(BagError, match=r"nothing is known of rear_left: not legs of ours"):
+            replay(bag)
+    assert relearn([tmp_path / "bag"]).ticks == 2 * TICKS
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"seed": 9}, r"its legs were told different things .*'seed': 9"),
+        ({"shared": False}, r"its legs were told different things .*'shared': False"),
+        ({"reward.slip": 3.0}, "nothing is known of rear_left"),
+    ],
+    ids=["seed", "shared", "parameter"],
+)
+def test_legs_that_were_told_different_things_are_not_replayed(
+    ros: Ros, tmp_path: Path, changes: dict[str, Any], says: str
+) -> None:
+    """No plan says what these legs did: the replay refuses and says why, the bag is whole."""
+    robot = Robot(ros, plan(1), leg_rear_left=changes)
+    robot.begin(bag=str(tmp_path / "bag"))
+    robot.run()
+    with Bag(tmp_path / "bag") as bag:
+        assert len(list(bag.ticks())) == TICKS
+        with pytest.raises(BagError, match=says):
+            replay(bag)
+
+
+@pytest.mark.parametrize("after", [False, True], ids=["at once", "after a while"])
+def test_a_disk_that_is_full_ends_the_run_with_an_error(
+    ros: Ros, tmp_path: Path, after: bool
+) -> None:
+    """The world does not walk on unrecorded: a BagError; what was flushed is brought back."""
+    folder = tmp_path / "bag"
+    long = plan(10**6)
+    graph = Graph(
+        long, patience=PATIENCE_S, bag=BagOptions(folder), world=world_of(long), context=ros.context
+    )
+    with closing(graph):
+        if after:
+            ros.spin_until(lambda: size_of(folder) > 60_000, "some chunks", graph.spin_once)
+        most = size_of(folder) + 1000
+        writes = graph.sim._bag._process.pid
+        resource.prlimit(writes, resource.RLIMIT_FSIZE, (most, most))
+        with pytest.raises(BagError, match=r"cannot write the bag .*File too large"):
+            ros.spin_until(lambda: graph.sim.done, "the disk is full", graph.spin_once)
+    with pytest.raises(BagError, match="recording was cut off"):
+        Bag(folder)
+    if after:
+        repair(folder)
+        with Bag(folder) as bag:
+            done = replay(bag)
+        assert (done.difference, done.missing, done.ticks % 16) == (None, None, 0)
+        assert done.ticks > 0
+
+
+def test_a_writer_that_is_killed_ends_the_run_with_an_error(ros: Ros, tmp_path: Path) -> None:
+    """Whatever became of who writes, the run ends with a BagError that says what to do."""
+    long = plan(10**6)
+    graph = Graph(
+        long,
+        patience=PATIENCE_S,
+        bag=BagOptions(tmp_path / "bag"),
+        world=world_of(long),
+        context=ros.context,
+    )
+    with closing(graph):
+        ros.spin_until(lambda: size_of(tmp_path / "bag") > 60_000, "some chunks", graph.spin_once)
+        graph.sim._bag._process.send_signal(signal.SIGKILL)
+        with pytest.raises(BagError, match="ember bag repair"):
+            ros.spin_until(lambda: graph.sim.done, "the writer is gone", graph.spin_once)
+    repair(tmp_path / "bag")
+    with Bag(tmp_path / "bag") as bag:
+        assert replay(bag).difference is None
+
+
+# -- playing -----------------------------------------------------------------------------------
+
+
+class Clock:
+    """A wall clock that goes on by one step whenever it is looked at."""
+
+    def __init__(self, step_s: float) -> None:
+        """Begin at 0."""
+        self.step, self.looks = step_s, 0
+
+    def monotonic(self) -> float:
+        """Return the time, s."""
+        self.looks += 1
+        return self.looks * self.step
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Let players live by a clock on which a tick of a bag is two looks at a rate of 10."""
+    clock = Clock(TICK_NS * 1e-9 / 20)
+    monkeypatch.setattr(player_node, "time", clock)
+    return clock
+
+
+class Playing:
+    """A player, and somebody who hears all that it says; paused at first."""
+
+    def __init__(
+        self, ros: Ros, folder: Path, namespace: str | None = None, **options: Any
+    ) -> None:
+        """Open a bag and match everybody with the player of it."""
+        self._ros = ros
+        self.bag = Bag(folder, namespace=namespace)
+        self.raws = list(self.bag.raw())
+        options = {"rate": 10.0, "paused": True} | options
+        self.node: Any = ros.add(PlayerNode(self.bag, context=ros.context, **options))
+        self.heard = {
+            each.topic_name: ros.messages(topics.Topic(each.topic_name, kind), raw=True)
+            for each in self.node.publishers
+            if (kind := self._kinds.get(each.topic_name))
+        }
+
+    @property
+    def _kinds(self) -> dict[str, str]:
+        kinds = {topic: str(each.msgtype) for topic, each in self.bag.connections.items()}
+        return {"/clock": topics.CLOCK.kind} | kinds
+
+    def pause(self, paused: bool) -> str:
+        """Call the service."""
+        name = absolute(self.bag.namespace, player_node.PAUSE.name)
+        client = self._ros.client(topics.Service(name, player_node.PAUSE.kind))
+        answer = self._ros.call(client, SetBool.Request(data=paused))
+        self._ros.node.destroy_client(client)
+        assert answer.success
+        return str(answer.message)
+
+    def play(self) -> None:
+        """Play to the end, and hear all of it."""
+        self.node.paused = False
+        self._ros.spin_until(lambda: self.node.done, "the end of the bag")
+        until_quiet(self._ros)
+        self._ros.spin_until(
+            lambda: sum(map(len, self.heard.values())) >= self.node.played, "all is heard"
+        )
+
+    def of_bag(self, from_ns: int = 0, without: Collection[str] = ()) -> dict[str, list[bytes]]:
+        """Return what of the bag should be heard."""
+        return {
+            topic: [r.data for r in self.raws if r.topic == topic and r.ns >= from_ns]
+            for topic in self.heard
+            if topic not in without
+        }
+
+
+@pytest.mark.parametrize(("rate", "ticks"), [(0.25, 8.0), (10.0, 0.5), (1000.0, 64.0)])
+def test_every_message_is_heard_as_it_was_recorded(
+    ros: Ros, walked: Path, clock: Clock, rate: float, ticks: float
+) -> None:
+    """All topics of the bag, ``/clock`` among them: byte by byte, in order, at any rate.
+
+    It is the same whether a turn plays half a tick or, after it was held up, 64 of them.
+    """
+    clock.step = ticks * TICK_NS * 1e-9 / rate
+    playing = Playing(ros, walked, rate=rate)
+    playing.play()
+    assert set(playing.heard) == set(playing.bag.connections)
+    assert playing.heard == playing.of_bag()
+    assert playing.node.played == len(playing.raws)
+    assert len(playing.heard["/clock"]) == ALL
+    playing.bag.close()
+
+
+def test_a_robot_in_a_namespace_is_played_alone_and_sets_the_clock_too(
+    ros: Ros, tmp_path: Path, clock: Clock
+) -> None:
+    """Of two robots in a bag one is heard, also if the other's name begins like its own."""
+    folder = by_loop(tmp_path / "bag", plan(1), "robot_1", "robot_12", "robot_1/trailer")
+    playing = Playing(ros, folder, "robot_1")
+    playing.play()
+    own = {topic for topic in playing.bag.connections if topic.startswith("/robot_1/")}
+    own = {topic for topic in own if not topic.startswith("/robot_1/trailer/")}
+    assert set(playing.heard) == own | {"/clock"}
+    expected = playing.of_bag(without=["/clock"])
+    assert playing.heard == expected | {"/clock": expected["/robot_1/clock"]}
+    playing.bag.close()
+
+
+def test_a_robot_without_a_namespace_is_played_alone(
+    ros: Ros, tmp_path: Path, clock: Clock
+) -> None:
+    """What is in the bag of a robot in a namespace is not heard of the one that has none."""
+    folder = by_loop(tmp_path / "bag", plan(1), "", "robot_1")
+    playing = Playing(ros, folder, "")
+    playing.play()
+    assert not [topic for topic in playing.heard if topic.startswith("/robot_1/")]
+    assert playing.heard == playing.of_bag()
+    playing.bag.close()
+
+
+def test_a_pause_stops_it_and_it_goes_on_where_it_was(ros: Ros, walked: Path, clock: Clock) -> None:
+    """By the service: nothing is said while it is paused, nothing is left out or said twice."""
+    playing = Playing(ros, walked)
+    assert playing.pause(False).startswith("playing at 0.000 s")
+    for part in (1, 2):
+        ros.spin_until(
+            lambda part=part: playing.node.played > part * len(playing.raws) // 4,  # type: ignore[misc]
+            "some is played",
+        )
+        told = playing.pause(True)
+        stopped, seconds = playing.node.played, playing.node.seconds
+        assert told == f"paused at {seconds:.3f} s"
+        assert not playing.node.done
+        looks = clock.looks
+        ros.spin_until(lambda looks=looks: clock.looks > looks + 50, "time goes on")  # type: ignore[misc]
+        assert (playing.node.played, playing.node.seconds) == (stopped, seconds)
+        playing.pause(False)
+    playing.play()
+    assert playing.heard == playing.of_bag()
+    playing.bag.close()
+
+
+@pytest.mark.parametrize("start_s", [1.0, 1.0078125])
+def test_what_lies_before_the_start_is_left_out(
+    ros: Ros, walked: Path, clock: Clock, start_s: float
+) -> None:
+    """From a tick on, or from between two: everything from there on is heard, and no more."""
+    playing = Playing(ros, walked, start_s=start_s)
+    assert playing.node.seconds == start_s
+    playing.play()
+    assert playing.heard == playing.of_bag(round(start_s * 1e9))
+    assert playing.heard["/run/card"] == []
+    playing.bag.close()
+
+
+def live_leg(ros: Ros, own: Plan, leg: str) -> Any:
+    """Return a leg that shares no table."""
+    numbers = {
+        f"{group}.{field}": value
+        for group, fields in as_dict(own.params).items()
+        for field, value in fields.items()
+    }
+    options = {"leg": leg, "policy": own.policy, "learning": own.learning, "shared": False}
+    return LegNode(context=ros.context, parameter_overrides=given(numbers | options))
+
+
+@pytest.mark.parametrize("onlooker", [False, True], ids=["alone", "with an onlooker"])
+def test_a_live_leg_is_waited_for_and_answers_every_tick(
+    ros: Ros, tmp_path: Path, clock: Clock, onlooker: bool
+) -> None:
+    """Its recorded commands are left out; it begins when the leg is there, whoever else listens.
+
+    The leg is written by hand, so what it does live is what was recorded.
+    """
+    own = plan(2, policy="scripted", learning=False)
+    folder = by_loop(tmp_path / "bag", own)
+    options: dict[str, Any] = {"rate": 10.0, "live": ["front_left"]}
+    playing = Playing(ros, folder, paused=False, **options) if onlooker else None
+    bag = playing.bag if playing else Bag(folder)
+    player = playing.node if playing else ros.add(PlayerNode(bag, context=ros.context, **options))
+    looks = clock.looks
+    ros.spin_until(lambda: clock.looks > looks + 50, "time goes on")
+    assert player.played == 0
+    assert player.seconds == 0.0
+    leg = ros.add(live_leg(ros, own, "front_left"))
+    answers = ros.messages(topics.command("front_left"), raw=True)
+    ros.spin_until(lambda: player.done, "the end of the bag")
+    recorded = [raw.data for raw in bag.raw() if raw.topic == "/front_left/command"]
+    ros.spin_until(lambda: len(answers) == len(recorded), "all answers are heard")
+    assert answers == recorded
+    assert leg.refused == 0
+    if playing:
+        assert "/front_left/command" not in playing.heard
+        assert playing.heard == playing.of_bag()
+    bag.close()
+
+
+def test_a_player_refuses_what_it_cannot_play(ros: Ros, walked: Path) -> None:
+    """A leg that is none of the bag's, or a start behind its end: a BagError says what there is."""
+    with Bag(walked) as bag:
+        with pytest.raises(BagError, match=r"no leg 'leg'; it has front_left, front_right"):
+            PlayerNode(bag, context=ros.context, live=["front_left", "leg"])
+        with pytest.raises(BagError, match=r"ends before 100\.0 s"):
+            PlayerNode(bag, context=ros.context, start_s=100.0)
+
+
+# -- asking ------------------------------------------------------------------------------------
+
+PLANS = {
+    "walker": plan(0),
+    "walker, other numbers": plan(
+        0, seed=11, policy="random", learning=False, walk__gamma=0.5, reward__slip=2.5,
+        walker__mass=4.0, physics__friction=0.8, gait__offset_rear_left=0.25, leg__load=20.0,
+    ),
+    "trainer": Plan("trainer", 0, seed=2, params=replace(Params(), {"trainer.tip_mass": 2.0})),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("namespace", ["", "a/b"])
+@pytest.mark.parametrize("name", PLANS)
+def test_what_nodes_say_is_what_their_plan_was(ros: Ros, name: str, namespace: str) -> None:
+    """Asked from outside, a graph gives the card of its plan and the table that it starts from."""
+    own = PLANS[name]
+    with closing(
+        Graph(own, patience=PATIENCE_S, namespace=namespace, context=ros.context)
+    ) as graph:
+        inquiry = Inquiry(ros.node, namespace)
+        assert inquiry.world is None
+        ros.spin_until(lambda: not inquiry.ask(), "all have answered", graph.spin_once)
+        assert inquiry.world == own.world
+        card, table, wrong = inquiry.card(own.world, 0)
+        empty = empty_table(own.params)
+        assert card == Card.of_plan(own, empty, versions())
+        assert wrong == []
+        assert table is not None
+        assert table.sha256() == empty.sha256()
+        # Of a later tick on the same nodes: what the table was at the start is not known.
+        card, table, wrong = inquiry.card(own.world, 7)
+        assert (card.first_tick, card.start_table_sha256, table) == (7, None, None)
+        assert "recorded from tick 7 on" in " ".join(wrong)
+
+
+def test_nobody_who_answers_is_said_with_names(ros: Ros) -> None:
+    """Where no robot is, who was waited for is named, and the card claims nothing."""
+    inquiry = Inquiry(ros.node, "")
+    for _ in range(20):
+        ros.spin_once(0.001)
+        assert inquiry.ask() == ["clock", "table/pull"]
+    card, table, wrong = inquiry.card("walker", 0)
+    assert (dict(card.legs), card.start_table_sha256, table) == ({}, None, None)
+    for leg in LEGS:
+        assert any(why.startswith(f"{leg} does not say") for why in wrong)
+    assert "nobody serves a table" in wrong
