@@ -23,7 +23,7 @@ from ember_ros.bag.relearn import relearn
 from ember_ros.bag.repair import repair
 from ember_ros.bag.replay import WAYS, replay
 from ember_ros.errors import BagError, ParameterError
-from ember_ros.params import SPECS
+from ember_ros.params import SPECS, replace
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.plan import stage_of
 from ember_ros.run import TABLE, no_ros
@@ -34,7 +34,7 @@ DIFFERENT = 1
 """Exit code of a replay that came out otherwise, or of a bag with damage in it."""
 INTERRUPTED = 130
 
-console = Console(highlight=False)
+console = Console(highlight=False, markup=False)
 
 _BAG = click.argument("bag", type=click.Path(path_type=Path))
 _NAMESPACE = click.option("--namespace", help="Of the robot, where the bag holds more than one.")
@@ -335,7 +335,7 @@ def relearn_command(
     if bins is not None:
         changes["state.hip_bins"] = bins
     changes = {name: value for name, value in changes.items() if value is not None}
-    start = load_table(table, base)[0] if table else None
+    start = load_table(table, replace(base, changes))[0] if table else None
     total = passes * sum(_ticks(bag, namespace, base) for bag in bags)
     with stop_signals() as stop, _bar("learning", total) as update:
 
@@ -516,6 +516,12 @@ def bag_csv(bag: Path, namespace: str | None, out: Path) -> None:
     with Bag(bag, namespace=namespace) as opened:
         files = look.write_csv(opened, out)
     console.print(f"In {out}: {', '.join(file.name for file in files)}")
+    for damage in opened.damages:
+        console.print(
+            f"damaged: tick {damage.tick}, {damage.leg}: senses are not those that were recorded"
+        )
+    if opened.damages:
+        sys.exit(DIFFERENT)
 
 
 @bag_group.command("repair")

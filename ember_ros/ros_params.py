@@ -39,6 +39,7 @@ OPTIONS = {
     "storage": Option("mcap", "what the bag is stored as", ("mcap", "sqlite3")),
     "split_mb": Option(0.0, "megabytes after which the bag begins a new file; 0: never"),
     "split_s": Option(0.0, "simulated seconds after which it does; 0: never"),
+    "recorder": Option(False, "wait for a recorder node before the first tick"),
     "all_robots": Option(False, "record every robot on the graph, not only this namespace's"),
     "seed": Option(0, "seed of the run; each drawer has its own generator"),
     "leg": Option("", "the leg that this node is", ()),

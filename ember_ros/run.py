@@ -20,8 +20,8 @@ from typing import Any
 from ember_ros.bag.card import Card
 from ember_ros.bag.recording import Recording
 from ember_ros.bag.scribe import Scribe
-from ember_ros.bag.storage import BagOptions, seal
-from ember_ros.errors import BagError, EmberError, ParameterError
+from ember_ros.bag.storage import BagOptions, make_folder, seal
+from ember_ros.errors import EmberError, ParameterError
 from ember_ros.params import params_sha256
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import (
@@ -67,10 +67,9 @@ def run(
     """
     if plan.table:
         load_table(plan.table, plan.params)  # say what is wrong with it before anything starts
-    if bag is not None and bag.folder.exists():
-        raise BagError(
-            f"{bag.folder} is there already, and a bag is never written over; give another --bag"
-        )
+    if bag is not None:
+        make_folder(bag.folder)  # say what is wrong with it before anything is replaced
+        bag.folder.rmdir()
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -49,7 +49,7 @@ class SimNode(Node):  # type: ignore[misc]
     ``diagnostics`` (diagnostic_msgs/DiagnosticArray).
     Parameters: ``gait.*``, ``leg.*``, ``physics.*``, ``trainer.*``, ``walker.*``, ``reward.*``;
     ``world``, ``mode``, ``gui``, ``cycles``, ``patience``, ``out``, ``seed``; ``bag``, ``storage``,
-    ``split_mb``, ``split_s`` to record a bag: nobody else hears every tick for sure.
+    ``split_mb``, ``split_s`` to record a bag; ``recorder`` to wait for a node that does.
     """
 
     def __init__(self, world: World | None = None, **kwargs: Any) -> None:
@@ -70,7 +70,7 @@ class SimNode(Node):  # type: ignore[misc]
             self,
             (
                 "world", "mode", "gui", "cycles", "patience", "out", "seed",
-                "bag", "storage", "split_mb", "split_s",
+                "bag", "storage", "split_mb", "split_s", "recorder",
             ),
         )  # fmt: skip
         self.world = world or make_world(
@@ -88,6 +88,7 @@ class SimNode(Node):  # type: ignore[misc]
             self._bag = Scribe(BagOptions(Path(options["bag"]), *given))
             self._inquiry = Inquiry(self, self.get_namespace())
         self._asked: float | None = None  # when all were there but for who records
+        self._wants_recorder = options["recorder"]
         self.refused = 0
         self._realtime = options["mode"] == "realtime"
         self._patience = options["patience"]
@@ -293,7 +294,8 @@ class SimNode(Node):  # type: ignore[misc]
         if self._asked is None:
             self._asked = now
         late = now - self._asked >= max(self._patience, ANSWER_S)
-        if self._recorded is None and not late and self.count_publishers(topics.RECORDED.name):
+        met = self.count_publishers(topics.RECORDED.name) and not late
+        if self._recorded is None and (met or self._wants_recorder):
             self._say("recorder", "waiting for the recorder")
             return False
         return self._bag is None or self._begin_bag(self._bag, late)

@@ -267,7 +267,7 @@ def test_bench_measures_every_way(run: Run) -> None:
     """A small one: every figure is there and positive; none is judged."""
     run("bench", "--cycles", 4, "--repeats", 1, "--train-cycles", 5, "--epochs", 20)
     found = json.loads(Path("out/bench/bench.json").read_text())
-    ways = {"physics", "loop", "loop, recorded", "graph", "processes"}
+    ways = {"physics", "loop", "loop, recorded", "graph", "graph, with a bag", "processes"}
     assert set(found["ticks_per_s"]) == ways
     assert min(found["ticks_per_s"].values()) > 0
     assert found["us_per_tick"]["message conversion"] > 0

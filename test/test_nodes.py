@@ -113,7 +113,7 @@ def test_a_sim_node_has_what_its_docstring_lists(ros: Ros, world: str) -> None:
     assert len(published) == 4 + 2 * len(node.legs)
     assert agree(published, live(ros, "publisher", node))
     heard = documented(SimNode, "Subscribes", node.legs)
-    assert len(heard) == 1 + len(node.legs)
+    assert len(heard) == 2 + len(node.legs)
     assert agree(heard, live(ros, "subscriber", node))
     assert not live(ros, "client", node)
     assert not live(ros, "service", node)

@@ -860,3 +860,32 @@ def test_a_run_never_writes_over_a_bag(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="is there already"):
         run(plan(2), "loop", tmp_path / "out", lambda *done: True, "test", bag)
     assert {f: f.read_bytes() for f in tmp_path.rglob("*") if f.is_file()} == before
+
+
+# -- the bag that comes with the package -------------------------------------------------------
+
+KEPT = Path(__file__).resolve().parents[1] / "bags" / "walk"
+
+
+@pytest.mark.parametrize("on", ["loop", pytest.param("graph", marks=needs_ros)])
+def test_the_bag_that_comes_with_the_package_is_replayed(on: str) -> None:
+    """Recorded by another process, at another time: every command and the table come out equal."""
+    with Bag(KEPT) as bag:
+        assert bag.damages == []
+        done = replay(bag, on=on)
+    assert done.equal
+    assert done.recorded_sha256 == done.table.sha256()
+    assert done.cycles >= 20
+    assert done.compared == done.ticks * len(LEGS)
+    assert done.unanswered == {}
+
+
+def test_the_bag_that_comes_with_the_package_is_small_and_whole() -> None:
+    """Under 3 MB, its first file with the name that reindexing looks for, and with a card."""
+    files = sorted(file.name for file in KEPT.iterdir())
+    assert files == ["metadata.yaml", "walk_0.mcap"]
+    assert sum(file.stat().st_size for file in KEPT.iterdir()) < 3_000_000
+    with Bag(KEPT) as bag:
+        assert bag.card is not None
+        assert sum(1 for _ in bag.ticks()) == bag.messages(topics.PHASE)
+        assert bag.damages == []

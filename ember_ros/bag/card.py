@@ -127,16 +127,24 @@ def read_card(text: str, where: str) -> Card:
             for group, numbers in content["params"].items()
             for name, value in numbers.items()
         }
-        return Card(
+        card = Card(
             world=_one_of(content["world"], ("walker", "trainer")),
             legs={leg: _leg(told) for leg, told in content["legs"].items()},
             params=replace(Params(), flat),
-            start_table_sha256=content["start_table_sha256"],
+            start_table_sha256=_text(content["start_table_sha256"]),
             first_tick=int(content["first_tick"]),
-            versions=content["versions"],
+            versions={name: str(version) for name, version in content["versions"].items()},
         )
-    except (KeyError, TypeError, ValueError, AttributeError, ParameterError) as error:
+    except (
+        KeyError, TypeError, ValueError, OverflowError, AttributeError, ParameterError
+    ) as error:  # fmt: skip
         raise BagError(f"{where} is no whole card of a run: {error!r}") from error
+    if content.get("params_sha256") != params_sha256(card.params):
+        raise BagError(
+            f"{where} is damaged: its parameters do not have the SHA-256 it names, or are not all "
+            "those of this version"
+        )
+    return card
 
 
 def _leg(told: Mapping[str, Any]) -> LegCard:
@@ -147,6 +155,12 @@ def _leg(told: Mapping[str, Any]) -> LegCard:
         bool(told["learning"]),
         bool(told["shared"]),
     )
+
+
+def _text(value: Any) -> str | None:
+    if not isinstance(value, str | None):
+        raise TypeError(f"{value!r} is no text")
+    return value
 
 
 def _one_of(value: Any, choices: Sequence[str]) -> str:

@@ -37,6 +37,7 @@ class Seen:
         self._recorder = Recorder(bag.params, bag.legs)
         self._whole: Tick | None = None
         self._legs = bag.legs
+        self._ticks = bag.params.gait.ticks
 
     def see(self, tick: Tick) -> None:
         """Take the next tick."""
@@ -51,17 +52,24 @@ class Seen:
         senses = [sense for sense in tick.senses if sense is not None]
         if len(senses) < len(self._legs):
             return
-        if self._whole is None or self._whole.tick + 1 != tick.tick:  # nothing to be credited
+        whole = self._whole
+        if whole is None or whole.tick + 1 != tick.tick:  # nothing to be credited
+            if whole is not None and whole.tick // self._ticks != tick.tick // self._ticks:
+                self._end()
             senses = [sense._replace(restart=True) for sense in senses]
         self._recorder.tick(tick.phase, senses, tick.commands, tick.body)
         self._whole = tick
 
     def rows(self) -> list[Row]:
         """Return a line a cycle and leg, and one for the body; nothing may be seen after."""
+        self._end()
+        return self._recorder.rows
+
+    def _end(self) -> None:
+        """End the cycle that was begun."""
         if self._whole is not None:
             last = [sense._replace(restart=True) for sense in self._whole.senses if sense]
             self._recorder.finish(last, self._whole.body)
-        return self._recorder.rows
 
 
 def info(bag: Bag) -> tuple[dict[str, Any], list[Row]]:
@@ -138,8 +146,13 @@ def write_csv(bag: Bag, folder: Path) -> list[Path]:
         BagError: the bag is damaged, or the files are there already or cannot be written.
     """
     files = [folder / CYCLES_CSV, folder / TICKS_CSV]
+    there = [file for file in files if file.exists()]
+    if there:
+        raise BagError(f"{there[0]} is there already; give another --out")
+    made: list[Path] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        made = files
         with (
             files[0].open("x", newline="", encoding="utf-8") as cycles,
             files[1].open("x", newline="", encoding="utf-8") as ticks,
@@ -151,10 +164,14 @@ def write_csv(bag: Bag, folder: Path) -> list[Path]:
             lines = csv.writer(cycles)
             lines.writerow(Row._fields)
             lines.writerows(seen.rows())
+        made = []
     except FileExistsError as error:
         raise BagError(f"{error.filename} is there already; give another --out") from error
     except OSError as error:
         raise BagError(f"cannot write into {folder}: {error.strerror}") from error
+    finally:
+        for file in made:
+            file.unlink(missing_ok=True)
     return files
 
 

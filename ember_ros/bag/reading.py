@@ -35,7 +35,7 @@ class Tick(NamedTuple):
     """None where a message of a leg's two is not in the bag."""
     commands: tuple[LegCommand | None, ...]
     body: BodyState
-    """Where the body was, all 0 in a bag without odometry; falls count from the bag's start."""
+    """Where the body was, or was seen last; falls count from the bag's start."""
 
 
 class Damage(NamedTuple):
@@ -65,6 +65,7 @@ class _Reading:
         self.damages: list[Damage] = []
         self.found: dict[int, tuple[int, ...]] = {}
         self.recorded: dict[int, tuple[int, ...]] = {}
+        self.pose: tuple[float, ...] = (0.0,) * 6
 
 
 class Bag:
@@ -91,6 +92,12 @@ class Bag:
         """Messages of ticks that were over, in the last pass."""
         try:
             self.connections = {c.topic: c for c in self._reader.connections}
+            for connection in self.connections.values():
+                if not isinstance(connection.msgcount, int):
+                    raise BagError(
+                        f"{path} is damaged: its {METADATA} counts {connection.msgcount!r} "
+                        f"messages of {connection.topic}"
+                    )
             self.namespace = self._choose(namespace)
             self.card, self.table = self._read_run()
             self.params = self.card.params if self.card else params or Params()
@@ -163,7 +170,8 @@ class Bag:
         return [topics.PHASE, *(make(leg) for leg in self.legs for make in makers)]
 
     def _check_topics(self) -> None:
-        optional = (topics.CLOCK, topics.ODOMETRY, topics.FALLS, topics.CRC)
+        of_run = (topics.CRC, topics.CARD, topics.VALUES, topics.VISITS)
+        optional = (topics.CLOCK, topics.ODOMETRY, topics.FALLS, *of_run)
         for topic in (*self._needed(), *optional):
             name = self._name(topic)
             connection = self.connections.get(name)
@@ -221,7 +229,7 @@ class Bag:
         if not self.path.is_dir():
             return None
         known = read_metadata(self.path).get("custom_data") or {}
-        return known.get("table_sha256")
+        return known.get("table_sha256") if isinstance(known, dict) else None
 
     def messages(self, topic: topics.Topic) -> int:
         """Return how many messages of one of the robot's topics are in the bag."""
@@ -266,7 +274,7 @@ class Bag:
             parts.append(self._name(topics.ODOMETRY))
         window, falls, newest = Window(parts), 0, -1
         phase = self._name(topics.PHASE)
-        for topic, ns, data in self._messages([*readers, beat]):
+        for topic, _, data in self._messages([*readers, beat]):
             if topic == beat:
                 for tick, found in window.take():
                     falls += self._fell(found)
@@ -277,9 +285,8 @@ class Bag:
             try:
                 tick, value = reader(data)
             except EmberError as error:
-                at = ns // self.params.gait.tick_ns
                 raise BagError(
-                    f"{self.path}: {topic} near tick {at} is damaged: {error}"
+                    f"{self.path}: {topic} near tick {max(0, window.newest)} is damaged: {error}"
                 ) from error
             if tick >= 0 and not window.put(tick, topic, (data, value)):
                 self.stale += 1
@@ -312,7 +319,13 @@ class Bag:
             return wire.tick_of(ns, tick_ns, odometry), pose
 
         def read_crc(data: bytes) -> tuple[int, Any]:
-            (count, legs), before, numbers = wire.read_array(data, "I", crc)
+            shape, before, numbers = wire.read_array(data, "I", crc)
+            if shape[1:] != (len(self.legs),) or len(before) != 8:
+                raise SignalError(
+                    f"{crc}: an array of {shape}; (ticks, {len(self.legs)}), and two numbers "
+                    "before it, would be right"
+                )
+            (count, legs) = shape
             low, high = np.frombuffer(before, "<u4").tolist()
             rows = np.frombuffer(numbers, "<u4").reshape(count, legs).tolist()
             for tick, row in enumerate(rows, low + (high << 32)):
@@ -366,8 +379,8 @@ class Bag:
             del seen.found[next(iter(seen.found))]
         phase = found.get(self._name(topics.PHASE))
         if phase is not None:
-            pose = found.get(self._name(topics.ODOMETRY), (None, (0.0,) * 6))[1]
-            body = BodyState._make((*pose, falls))
+            seen.pose = found.get(self._name(topics.ODOMETRY), (None, seen.pose))[1]
+            body = BodyState._make((*seen.pose, falls))
             yield Tick(tick, phase[1], tuple(senses), tuple(commands), body)
 
     def _check(self, tick: int, seen: _Reading) -> None:
@@ -409,7 +422,7 @@ def _open(path: Path) -> Any:
         raise BagError(f"there is no bag {path}; `ember walk --bag {path}` would make one")
     if path.is_dir():
         if not (path / METADATA).exists():
-            if any(path.glob(f"*{end}") for end in STORAGES.values()):
+            if any(file.suffix in STORAGES.values() for file in path.iterdir()):
                 raise BagError(
                     f"{path} has no {METADATA}: its recording was cut off; `ember bag repair "
                     f"{path}` brings it back"

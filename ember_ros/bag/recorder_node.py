@@ -293,6 +293,7 @@ class RecorderNode(Node):  # type: ignore[misc]
             raise ParameterError("give the folder of a new bag: --ros-args -p bag:=DIR")
         self._folder = Path(options["bag"])
         self._writer = Scribe(BagOptions(self._folder, *(options[name] for name in names[1:])))
+        self._writer.flush()  # returns when it is ready to write: what comes now is not held up
         self._all = options["all_robots"]
         self._ears: dict[str, _Ear] = {}
         if not self._all:

@@ -113,11 +113,12 @@ def relearn(
                     LegModule(own, leg, stage=stage, policy=told, run=f"{turn}/{n}")
                     for leg in bag.legs
                 ]
-                fallen, last = 0, 0
+                fallen, last, blind = 0, 0, set[tuple[int, str]]()
                 for tick in bag.ticks():
                     for leg, sense, command in zip(legs, tick.senses, tick.commands, strict=True):
                         if sense is None or command is None:
                             skipped += 1
+                            blind.add((tick.tick, leg.leg))
                             continue
                         told.action = actions.of(leg.leg, command)
                         act(shared, leg, sense, tick.phase)
@@ -125,6 +126,12 @@ def relearn(
                     fallen, last = tick.body.falls, tick.tick
                     if not go_on(ticks, falls + fallen):
                         raise BagError("stopped before all bags were learnt from")
+                changed = [each for each in bag.damages if each[:2] not in blind]
+                for damage in changed[:1]:
+                    raise BagError(
+                        f"{path}: tick {damage.tick}, {damage.leg}: senses are not those that "
+                        "were recorded"
+                    )
                 for leg in legs:
                     hand_in(shared, leg, last)
                 shared.merge()

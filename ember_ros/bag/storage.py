@@ -124,7 +124,8 @@ class _Mcap:
         return self._out.tell()
 
     def close(self, metadata: str) -> None:
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": metadata})
+        # The metadata stays outside: it names files, and the same run must make the same bytes
+        # under any name.
         self._writer.finish()
         self._out.close()
 
@@ -489,9 +490,10 @@ def read_metadata(folder: Path) -> dict[str, Any]:
             raise TypeError(f"{INFORMATION} is a {type(content).__name__}")
     except OSError as error:
         raise BagError(f"cannot read {file}: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
+    except (yaml.YAMLError, ValueError, KeyError, TypeError) as error:
+        why = " ".join(str(error).split())
         raise BagError(
-            f"{file} is no metadata of a bag ({error}); move it away, and `ember bag repair "
+            f"{file} is no metadata of a bag ({why}); move it away, and `ember bag repair "
             f"{folder}` makes it anew"
         ) from error
     return content

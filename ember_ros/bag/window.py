@@ -33,6 +33,11 @@ class Window:
         self._ticks: dict[int, dict[str, Any]] = {}
         self._newest = -1
 
+    @property
+    def newest(self) -> int:
+        """Return the newest tick that has begun, -1 before the first."""
+        return self._newest
+
     def put(self, tick: int, part: str, value: Any) -> bool:
         """Keep a part; return False if its tick came out before."""
         if tick <= self.last:
@@ -58,8 +63,8 @@ class Window:
             yield self._out(min(self._ticks))
 
     def _follows(self, tick: int) -> bool:
-        """Return whether no earlier tick can still come."""
-        return self.last < 0 or tick == self.last + 1
+        """Return whether no earlier tick can still come: a run begins with tick 0."""
+        return tick == self.last + 1
 
     def _out(self, tick: int) -> tuple[int, dict[str, Any]]:
         self.last = tick
