@@ -193,6 +193,8 @@ def _run(
         learning=policy == "learned" if learning is None else learning,
         table=table,
     )
+    if bag is None and (split_mb or split_s):
+        raise ParameterError("--split-mb and --split-s are of a bag: give --bag too")
     kept = [name for name in (SUMMARY, TABLE) if (out / name).exists()]
     if kept and not force:
         raise ParameterError(
@@ -207,8 +209,9 @@ def _run(
     console.print(_grid({what: summary}))
     picture = f", {PICTURE}" if drawn else "; no whole cycle to draw"
     console.print(f"In {out}: {TABLE}, cycles.csv, {SUMMARY}{picture}")
-    if bag:
-        console.print(f"In {bag}: the whole run; `ember replay {bag}` runs it again")
+    if bag and summary["cycles"]:
+        what = "the whole run" if summary["complete"] else "the run until then"
+        console.print(f"In {bag}: {what}; `ember replay {bag}` runs it again")
     if not summary["complete"]:
         _end_early(summary, out)
 

@@ -8,6 +8,7 @@ import os
 import select
 import shlex
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,6 @@ from ember_ros.bag.replay import WAYS, replay
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.params import SPECS, replace
 from ember_ros.params_file import dump_params, load_params
-from ember_ros.plan import stage_of
 from ember_ros.run import TABLE, no_ros
 from ember_ros.spinning import prepare_environment, stop_signals
 from leg_node.table import load_table, save_table
@@ -33,6 +33,8 @@ from leg_node.table import load_table, save_table
 DIFFERENT = 1
 """Exit code of a replay that came out otherwise, or of a bag with damage in it."""
 INTERRUPTED = 130
+LOOK_S = 1.0
+"""Wall time that a player looks whether somebody else is on the topics."""
 
 console = Console(highlight=False, markup=False)
 
@@ -129,7 +131,9 @@ def replay_command(
         ("commands", f"{done.compared} held against the record"),
     ]
     lines += [(leg, f"{n} ticks without a recorded command") for leg, n in done.unanswered.items()]
-    if done.recorded_sha256 is None:
+    if done.stopped:
+        known = "not compared: stopped before the end"
+    elif done.recorded_sha256 is None:
         known = "the run's own was not recorded"
     else:
         same = done.recorded_sha256 == sha
@@ -141,7 +145,7 @@ def replay_command(
     if done.difference is not None:
         console.print(f"First difference: {done.difference}.")
     elif done.equal:
-        console.print("Equal, bit for bit.")
+        console.print("Equal so far." if done.stopped else "Equal, bit for bit.")
     if not done.equal:
         sys.exit(DIFFERENT)
     if stop.asked:
@@ -192,9 +196,19 @@ def play(
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         node = None
         try:
-            node = PlayerNode(opened, rate=rate, start_s=start, paused=paused, live=live)
+            node = PlayerNode(opened, rate=rate, start_s=start, paused=True, live=live)
             executor = EventsExecutor()
             executor.add_node(node)
+            deadline = time.monotonic() + LOOK_S
+            while time.monotonic() < deadline and not stop.asked:
+                executor.spin_once(timeout_sec=LONGEST_S)
+            if others := node.others():
+                raise BagError(
+                    f"a robot is running here: {', '.join(others[:3])} and the like are published "
+                    "by others, who would take the recorded ones for theirs; stop it, or play in "
+                    "another ROS_DOMAIN_ID"
+                )
+            node.paused = paused
             with _bar("playing", opened.seconds) as update, _space() as pressed:
                 while not stop.asked and not node.done:
                     executor.spin_once(timeout_sec=LONGEST_S)
@@ -202,6 +216,8 @@ def play(
                         node.paused = not node.paused
                     paused_now = ", paused" if node.paused else ""
                     update(node.seconds, f"{node.seconds:.1f} s{paused_now}")
+            if node.failed is not None:
+                raise node.failed
             console.print(f"{node.played} messages")
         finally:
             if node is not None:
@@ -328,7 +344,7 @@ def relearn_command(
         )
     given = load_params(params_file) if params_file else None
     with Bag(bags[0], namespace=namespace, params=given) as first:
-        stage = stage or stage_of(first.world)
+        stage = stage or first.stage
         base = given or first.params
     changes = {name.replace("__", "."): value for name, value in numbers.items()}
     changes |= {f"{stage}.alpha_floor": alpha, f"{stage}.gamma": gamma}
@@ -344,16 +360,23 @@ def relearn_command(
                 update(ticks, f"{ticks} ticks, {falls} falls")
             return not stop.asked
 
-        learnt = relearn(
-            bags,
-            changes,
-            params=given,
-            stage=stage,
-            table=start,
-            passes=passes,
-            namespace=namespace,
-            go_on=go_on,
-        )
+        try:
+            learnt = relearn(
+                bags,
+                changes,
+                params=given,
+                stage=stage,
+                table=start,
+                passes=passes,
+                namespace=namespace,
+                go_on=go_on,
+            )
+        except BagError as error:
+            if not stop.asked:
+                raise
+            click.echo(f"error: {error}", err=True)
+            sys.exit(INTERRUPTED)
+        update(total, f"{learnt.ticks} ticks, {learnt.falls} falls")
     visited = int((learnt.table.visits > 0).sum())
     told = {
         "command": shlex.join(["ember", *sys.argv[1:]]),
@@ -464,7 +487,7 @@ def _told(found: dict[str, Any]) -> list[tuple[str, Any]]:
             lines.append(("legs", said))
         lines.append(("versions", ", ".join(f"{k} {v}" for k, v in card["versions"].items())))
         lines.append(("parameters SHA-256", card["params_sha256"][:12]))
-        lines.append(("table SHA-256, start", str(card["start_table_sha256"])[:12]))
+        lines.append(("table SHA-256, start", (card["start_table_sha256"] or "not known")[:12]))
     if found["table_sha256"]:
         lines.append(("table SHA-256, end", found["table_sha256"][:12]))
     return lines

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ember_ros.bag.storage import BagOptions
-from ember_ros.errors import GraphError
+from ember_ros.errors import EmberError, GraphError
 from ember_ros.params import as_dict
 from ember_ros.params_file import dump_params
 from ember_ros.plan import Plan
@@ -170,9 +170,19 @@ class Graph:
         self.finish()
 
     def finish(self) -> None:
-        """Bring what every leg has learnt into the shared table, and end the record."""
+        """Bring what every leg has learnt into the shared table, and end the record.
+
+        Raises:
+            EmberError: a node could not end well; the others have.
+        """
+        failed: list[EmberError] = []
         for name in sorted(self.nodes, key=_ending):
-            self.nodes[name].finish(self.spin_once)
+            try:
+                self.nodes[name].finish(self.spin_once)
+            except EmberError as error:
+                failed.append(error)
+        if failed:
+            raise failed[0]
 
     def close(self) -> None:
         """Destroy all nodes."""

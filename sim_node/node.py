@@ -17,7 +17,7 @@ from ember_ros.bag.inquiry import Inquiry
 from ember_ros.bag.recording import Recording, Told
 from ember_ros.bag.scribe import Scribe
 from ember_ros.bag.storage import BagOptions
-from ember_ros.errors import SignalError
+from ember_ros.errors import BagError, SignalError
 from ember_ros.plan import legs_of, make_world
 from ember_ros.report.recorder import Recorder
 from ember_ros.ros_params import declare_options, declare_params
@@ -83,6 +83,7 @@ class SimNode(Node):  # type: ignore[misc]
         self._kind: str = options["world"]
         self._bag: Scribe | None = None
         self._recording: Recording | None = None
+        self._failed: BagError | None = None
         if options["bag"]:
             given = (options[name] for name in BagOptions._fields[1:])
             self._bag = Scribe(BagOptions(Path(options["bag"]), *given))
@@ -248,7 +249,11 @@ class SimNode(Node):  # type: ignore[misc]
         if self._recording is not None:
             heard = self._heard.get
             said = heard(topics.PHASE.name), [heard(leg) for leg in self.legs]
-            self._recording.put(self._tick, Told._make((*self._told, *said)))
+            try:
+                self._recording.put(self._tick, Told._make((*self._told, *said)))
+            except BagError as error:
+                self._end_for(error)
+                return
         self.world.step(self._phase, commands)
         self._tick += 1
         if self._tick >= self._last or self.world.over:
@@ -310,8 +315,16 @@ class SimNode(Node):  # type: ignore[misc]
         card, table, wrong = self._inquiry.card(self._kind, 0)
         for why in wrong:
             self.get_logger().warning(f"the bag cannot be replayed: {why}")
-        self._recording = Recording(bag, card, table, namespace=self.get_namespace())
+        try:
+            self._recording = Recording(bag, card, table, namespace=self.get_namespace())
+        except BagError as error:
+            self._end_for(error)
+            return False
         return True
+
+    def _end_for(self, error: BagError) -> None:
+        """End the run; the error is told when the node finishes: an executor would log a crash."""
+        self._failed, self.done, self._started = error, True, False
 
     def _watch(self) -> None:
         """In lockstep: begin when all are there; declare absent who is late."""
@@ -391,9 +404,15 @@ class SimNode(Node):  # type: ignore[misc]
         self._diagnostics.publish(message)
 
     def finish(self, spin: Callable[[], None]) -> None:
-        """Stop stepping and end the record."""
+        """Stop stepping and end the record.
+
+        Raises:
+            BagError: the bag could not be written to its end.
+        """
         self.done, self._started = True, False
         self.recorder.finish(self.world.observe(), self.world.body())
+        if self._failed is not None:
+            raise self._failed
         if self._bag is not None:
             if self._recording is not None:
                 self._recording.finish()

@@ -1487,7 +1487,7 @@ def test_repairing_what_is_no_bag(tmp_path: Path) -> None:
     (tmp_path / "other" / "notes.txt").write_text("mine")
     (tmp_path / "other" / METADATA).write_text("mine")
     refuses(tmp_path / "other", "other is no bag")
-    refuses(tmp_path / "other" / "notes.txt", "there is no bag .*the folder of one")
+    refuses(tmp_path / "other" / "notes.txt", "notes.txt is one file; the folder")
     assert (tmp_path / "other" / "notes.txt").read_text() == "mine"
 
 
@@ -1752,3 +1752,19 @@ def test_both_storages_hold_the_same(tmp_path: Path) -> None:
     """Read by rosbags, a bag in SQLite is the bag in MCAP."""
     bags = [by_rosbags(record(tmp_path / name, 40, storage=name)) for name in STORAGES]
     assert bags[0] == bags[1]
+
+
+def test_repairing_a_whole_bag_keeps_what_is_known_of_its_end(tmp_path: Path) -> None:
+    """A bag that lacks nothing keeps the SHA-256 of its table; one that was cut does not."""
+    kept = Path(__file__).resolve().parents[1] / "bags" / "walk"
+    for name, cut in (("whole", 0), ("cut", 100_000)):
+        folder = tmp_path / name / "walk"
+        shutil.copytree(kept, folder)
+        file = folder / "walk_0.mcap"
+        data = file.read_bytes()
+        file.write_bytes(data[: len(data) - cut])
+        repair(folder)
+        known = read_metadata(folder)["custom_data"]
+        assert (known == read_metadata(kept)["custom_data"]) is (cut == 0)
+        if not cut:
+            assert file.read_bytes() == data

@@ -665,8 +665,9 @@ def test_a_disk_that_is_full_ends_the_run_with_an_error(
         most = size_of(folder) + 1000
         writes = graph.sim._bag._process.pid
         resource.prlimit(writes, resource.RLIMIT_FSIZE, (most, most))
+        ros.spin_until(lambda: graph.sim.done, "the disk is full", graph.spin_once)
         with pytest.raises(BagError, match=r"cannot write the bag .*File too large"):
-            ros.spin_until(lambda: graph.sim.done, "the disk is full", graph.spin_once)
+            graph.finish()
     with pytest.raises(BagError, match="recording was cut off"):
         Bag(folder)
     if after:
@@ -690,8 +691,9 @@ def test_a_writer_that_is_killed_ends_the_run_with_an_error(ros: Ros, tmp_path: 
     with closing(graph):
         ros.spin_until(lambda: size_of(tmp_path / "bag") > 60_000, "some chunks", graph.spin_once)
         graph.sim._bag._process.send_signal(signal.SIGKILL)
+        ros.spin_until(lambda: graph.sim.done, "the writer is gone", graph.spin_once)
         with pytest.raises(BagError, match="ember bag repair"):
-            ros.spin_until(lambda: graph.sim.done, "the writer is gone", graph.spin_once)
+            graph.finish()
     repair(tmp_path / "bag")
     with Bag(tmp_path / "bag") as bag:
         assert replay(bag).difference is None

@@ -889,3 +889,24 @@ def test_the_bag_that_comes_with_the_package_is_small_and_whole() -> None:
         assert bag.card is not None
         assert sum(1 for _ in bag.ticks()) == bag.messages(topics.PHASE)
         assert bag.damages == []
+
+
+def test_a_stopped_replay_says_that_it_was_stopped(tmp_path: Path) -> None:
+    """What was compared is told; the table of half a run is held against nothing."""
+    with Bag(KEPT) as bag:
+        done = replay(bag, go_on=lambda ticks: ticks < 100)
+    assert done.stopped
+    assert done.ticks == 100
+    assert done.difference is None
+    assert done.recorded_sha256 is None
+
+
+def test_legs_of_another_stage_are_not_replayed_as_of_this_one() -> None:
+    """A card whose legs had other learning numbers than its world asks for is refused in words."""
+    with Bag(KEPT) as bag:
+        assert bag.card is not None
+        legs = {leg: told._replace(stage="train") for leg, told in bag.card.legs.items()}
+        bag.card = Card(bag.card.world, legs, bag.card.params, bag.card.start_table_sha256, 0, {})
+        assert bag.stage == "train"
+        with pytest.raises(BagError, match="stage 'train'"):
+            replay(bag)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.params import Params, as_dict, params_sha256, replace
-from ember_ros.plan import Plan, legs_of
+from ember_ros.plan import Plan, legs_of, stage_of
 from leg_node.table import Table
 
 FORMAT = 1
@@ -76,6 +76,11 @@ class Card:
                 f"{ {leg: each._asdict() for leg, each in self.legs.items()} }"
             )
         (each,) = told
+        if each.stage != stage_of(self.world):
+            raise BagError(
+                f"{cannot}its legs had the learning numbers of stage {each.stage!r}, which is not "
+                f"that of the {self.world}; `ember relearn` works with it"
+            )
         return Plan(
             self.world,
             cycles,

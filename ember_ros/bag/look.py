@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 from collections.abc import Iterator
 from pathlib import Path
@@ -152,11 +153,12 @@ def write_csv(bag: Bag, folder: Path) -> list[Path]:
     made: list[Path] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        made = files
-        with (
-            files[0].open("x", newline="", encoding="utf-8") as cycles,
-            files[1].open("x", newline="", encoding="utf-8") as ticks,
-        ):
+        with contextlib.ExitStack() as opened:
+            outs = []
+            for file in files:
+                outs.append(opened.enter_context(file.open("x", newline="", encoding="utf-8")))
+                made.append(file)
+            cycles, ticks = outs
             seen = Seen(bag)
             lines = csv.writer(ticks)
             lines.writerow(TICK_COLUMNS)
@@ -164,7 +166,7 @@ def write_csv(bag: Bag, folder: Path) -> list[Path]:
             lines = csv.writer(cycles)
             lines.writerow(Row._fields)
             lines.writerows(seen.rows())
-        made = []
+        made.clear()
     except FileExistsError as error:
         raise BagError(f"{error.filename} is there already; give another --out") from error
     except OSError as error:

@@ -54,6 +54,8 @@ class PlayerNode(Node):  # type: ignore[misc]
         """
         super().__init__("player_node", namespace=bag.namespace or None, **kwargs)
         self.done = False
+        self.failed: BagError | None = None
+        """Why it ended before the bag did, if it did."""
         self.paused = paused
         self.played = 0
         """Messages that were published."""
@@ -101,6 +103,10 @@ class PlayerNode(Node):  # type: ignore[misc]
         tick_s = bag.params.gait.tick_s
         self.create_timer(min(max(tick_s / rate / 2, SHORTEST_S), LONGEST_S), self._turn)
 
+    def others(self) -> list[str]:
+        """Return the topics of the bag that somebody else publishes: a robot that is running."""
+        return [topic for topic in self._sayers if self.count_publishers(topic) > 1]
+
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self.paused = request.data
         response.success = True
@@ -132,7 +138,10 @@ class PlayerNode(Node):  # type: ignore[misc]
                 self.played += 1
                 if self._also is not None and self._next.topic == self._clock_name:
                     self._also.publish(self._next.data)
-            self._next = next(self._messages, None)
+            try:
+                self._next = next(self._messages, None)
+            except BagError as error:  # told outside: an executor would log it as a crash
+                self.failed, self._next = error, None
         self.done = self._next is None
 
     def finish(self, spin: Callable[[], None]) -> None:

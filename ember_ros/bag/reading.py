@@ -21,7 +21,7 @@ from ember_ros.bag.storage import METADATA, STORAGES, VERSION, needs_rosbags, re
 from ember_ros.bag.window import LATE, Window
 from ember_ros.errors import BagError, EmberError, SignalError
 from ember_ros.params import Params
-from ember_ros.plan import WORLDS, legs_of
+from ember_ros.plan import WORLDS, legs_of, stage_of
 from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
 from leg_node.table import Table, empty_table
 
@@ -230,6 +230,13 @@ class Bag:
             return None
         known = read_metadata(self.path).get("custom_data") or {}
         return known.get("table_sha256") if isinstance(known, dict) else None
+
+    @property
+    def stage(self) -> str:
+        """Return which learning numbers the legs had: as the card says, or as the world wants."""
+        for told in self.card.legs.values() if self.card else ():
+            return told.stage
+        return stage_of(self.world)
 
     def messages(self, topic: topics.Topic) -> int:
         """Return how many messages of one of the robot's topics are in the bag."""

@@ -335,6 +335,8 @@ class RecorderNode(Node):  # type: ignore[misc]
             ear.finish()
         self._writer.close()
         self._say()
+        if not any(ear.recording for ear in self._ears.values()):
+            self.get_logger().warning(f"no robot was heard: the bag {self._folder} is empty")
 
     def destroy_node(self) -> None:
         """Destroy the node; a bag that was not finished ends here."""

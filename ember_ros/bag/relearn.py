@@ -15,7 +15,6 @@ from ember_ros.bag.reading import Bag
 from ember_ros.errors import BagError
 from ember_ros.loop import act, hand_in
 from ember_ros.params import Params, as_dict, cells_sha256, replace
-from ember_ros.plan import stage_of
 from ember_ros.signals import LegCommand, LegSense, Phase
 from leg_node.module import LegModule
 from leg_node.shared import SharedTable
@@ -97,7 +96,7 @@ def relearn(
         raise BagError("there is no bag to learn from; name one or more")
     with Bag(bags[0], namespace=namespace, params=params) as bag:
         own = replace(params or bag.params, changes or {})
-        stage = stage or stage_of(bag.world)
+        stage = stage or bag.stage
     if table is None:
         table = empty_table(own)
     numbers = own.walk if stage == "walk" else own.train

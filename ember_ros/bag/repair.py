@@ -11,7 +11,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ember_ros.bag.storage import METADATA, STORAGES, BagOptions, BagWriter, lock, needs_rosbags
+from ember_ros.bag.storage import (
+    METADATA,
+    STORAGES,
+    BagOptions,
+    BagWriter,
+    lock,
+    needs_rosbags,
+    read_metadata,
+)
 from ember_ros.errors import BagError
 
 DRAFT = ".repair"
@@ -66,7 +74,7 @@ def repair(folder: Path) -> Repaired:
             (_copy_mcap if storage == "mcap" else _copy_sqlite3)(file, writer, tally)
         if not writer.messages:
             raise BagError(f"nothing in {folder} is whole: not one chunk was finished")
-        writer.close()
+        writer.close(_kept(folder, tally, writer.messages))
         made = sorted(writer.folder.iterdir(), key=lambda file: file.name == METADATA)
         for file in made:  # over the old ones: at no moment are there none
             os.replace(file, folder / file.name)
@@ -92,8 +100,21 @@ def repair(folder: Path) -> Repaired:
     return Repaired(writer.messages, seconds, tally.chunks, tally.damaged, tally.torn)
 
 
+def _kept(folder: Path, tally: _Tally, messages: int) -> dict[str, str]:
+    """Return what the old metadata knew of the run's end, if nothing of the run is missing."""
+    try:
+        old = read_metadata(folder)
+    except BagError:
+        return {}
+    whole = not tally.damaged and not tally.torn and old.get("message_count") == messages
+    custom = old.get("custom_data")
+    return dict(custom) if whole and isinstance(custom, dict) else {}
+
+
 def _files(folder: Path) -> list[Path]:
     """Return the files of one storage, in the order in which they were written."""
+    if folder.is_file():
+        raise BagError(f"{folder} is one file; the folder that it lies in would be right")
     if not folder.is_dir():
         raise BagError(f"there is no bag {folder}; the folder of one would be right")
 

@@ -160,6 +160,8 @@ class Replayed(NamedTuple):
     """At the end."""
     recorded_sha256: str | None
     """Of the table at the end, if it was recorded."""
+    stopped: bool
+    """Whether it was stopped before the end."""
     seconds: float
     """Wall time."""
 
@@ -191,6 +193,11 @@ def replay(
     Raises:
         BagError: the bag does not hold what determines the run; the message says what.
     """
+    if bag.card is None and bag.path.is_file():
+        raise BagError(
+            f"{bag.path} does not say what determined the run; the bag's folder would be right, "
+            "of which this is one file"
+        )
     if bag.card is None:
         raise BagError(
             f"{bag.path} does not say what determined the run (no {bag.namespace}/run/card): it "
@@ -228,6 +235,7 @@ def replay(
         missing=world.missing,
         table=table,
         recorded_sha256=bag.table_sha256 if world.over and not world.missing else None,
+        stopped=not world.over,
         seconds=seconds,
     )
 

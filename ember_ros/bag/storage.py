@@ -274,7 +274,11 @@ def lock(folder: Path) -> int:
 
 def size_of(folder: Path) -> int:
     """Return how many bytes are in the files of a bag."""
-    return sum(file.stat().st_size for file in folder.iterdir())
+    size = 0
+    for file in folder.iterdir():
+        with contextlib.suppress(FileNotFoundError):  # SQLite's journal comes and goes
+            size += file.stat().st_size
+    return size
 
 
 class BagWriter:

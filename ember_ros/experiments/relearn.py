@@ -99,14 +99,15 @@ def page(found: list[dict[str, Any]], cycles: int, walk_cycles: int, command: st
         "one with the knee written by hand. `ember relearn` works out the table that one-step "
         "Q-learning gets from each bag, in one pass and without one new tick. Legs with that "
         f"table, frozen, then walk {walk_cycles} cycles with another seed. Read smoothed: "
-        "`walk.smooth` 0.3. The empty table is frozen too: all its actions are ties, and its legs "
-        "act at random.",
+        "`walk.smooth: 0.3` in the parameter file. The empty table is frozen too: all its actions "
+        "are ties, and its legs act at random.",
         "",
         "```",
-        f"ember walk --policy random --cycles {cycles} --seed S --on loop --bag out/bag",
-        "ember relearn out/bag",
+        f"ember walk --policy random --cycles {cycles} --seed S --on loop --bag out/bag \\",
+        "  --out out/random",
+        "ember relearn out/bag --out out/relearn",
         f"ember walk --freeze --cycles {walk_cycles} --seed {OTHER_SEED}+S --on loop \\",
-        "  --table out/relearn/table.npz --params out/relearn/params.yaml",
+        "  --table out/relearn/table.npz --params out/relearn/params.yaml --out out/walked",
         "```",
         "",
         "| walker | seed | falls | distance a cycle, m | SD of roll, rad | SD of pitch, rad | "
