@@ -11,23 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Grid
 
 import ember_ros
 from ember_ros.bag.storage import STORAGES, BagOptions
-from ember_ros.cli_bags import COMMANDS
+from ember_ros.cli_bags import COMMANDS, INTERRUPTED, console
 from ember_ros.errors import EmberError, ParameterError
 from ember_ros.params import SPECS, Params
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.plan import Plan
 from ember_ros.run import PICTURE, SUMMARY, TABLE, WAYS, GoOn, run
 from ember_ros.spinning import Stop, stop_signals
-
-INTERRUPTED = 130  # the shell's code for an end by Ctrl-C
-
-console = Console(highlight=False)
 
 
 class _Group(click.Group):

@@ -33,6 +33,7 @@ from leg_node.table import load_table, save_table
 DIFFERENT = 1
 """Exit code of a replay that came out otherwise, or of a bag with damage in it."""
 INTERRUPTED = 130
+"""Exit code of an end by Ctrl-C, as the shell has it."""
 LOOK_S = 1.0
 """Wall time that a player looks whether somebody else is on the topics."""
 

@@ -115,18 +115,25 @@ class Inquiry:
         """
         wrong: list[str] = []
         legs, numbers = self._legs(world, wrong)
-        params = Params()
-        sim = self._told.get(topics.CLOCK.name, {})
-        try:
-            given = {**numbers, **{n: v for n, v in sim.items() if n in SPECS}}
-            params = replace(params, given)
-        except EmberError as error:
-            wrong.append(f"parameters: {error}")
+        params = self._params(numbers, wrong)
         table = self._start_table(params, wrong) if first_tick == 0 else None
         if first_tick:
             wrong.append(f"recorded from tick {first_tick} on, not from the beginning")
         sha = None if table is None else table.sha256()
         return Card(world, legs, params, sha, first_tick, versions()), table, wrong
+
+    def params(self, world: str) -> Params:
+        """Return the numbers that the nodes of a world were told, as far as they answered."""
+        return self._params(self._legs(world, [])[1], [])
+
+    def _params(self, numbers: dict[str, Any], wrong: list[str]) -> Params:
+        """Return the legs' numbers and the sim node's together; the defaults if they are wrong."""
+        sim = self._told.get(topics.CLOCK.name, {})
+        try:
+            return replace(Params(), {**numbers, **{n: v for n, v in sim.items() if n in SPECS}})
+        except EmberError as error:
+            wrong.append(f"parameters: {error}")
+            return Params()
 
     def _legs(self, world: str, wrong: list[str]) -> tuple[dict[str, LegCard], dict[str, Any]]:
         """Return what each leg was told, and the numbers on which all agree."""

@@ -62,7 +62,6 @@ class _Reading:
     """What one pass through the bag has seen; see ``Bag.ticks``."""
 
     def __init__(self) -> None:
-        self.damages: list[Damage] = []
         self.found: dict[int, tuple[int, ...]] = {}
         self.recorded: dict[int, tuple[int, ...]] = {}
         self.pose: tuple[float, ...] = (0.0,) * 6
@@ -272,7 +271,6 @@ class Bag:
         """
         self.damages, self.stale = [], 0
         seen = _Reading()
-        seen.damages = self.damages
         readers = self._readers(seen)
         clocked = self._name(topics.CLOCK) in self.connections
         beat = self._name(topics.CLOCK if clocked else topics.PHASE)

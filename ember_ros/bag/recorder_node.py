@@ -119,7 +119,7 @@ class _Ear:
         names = [topic.name for topic in self._topics(list(legs_of(world)))]
         if all(self._subscriptions[name].handle.get_publisher_count() for name in names):
             self._ready = True
-            self._tick_ns = self._inquiry.card(world, 0)[0].params.gait.tick_ns
+            self._tick_ns = self._inquiry.params(world).gait.tick_ns
             last = -1  # or, of a world that is running already, the tick that was heard last
             for name, data in self._heard:
                 if name == topics.CLOCK.name:
@@ -132,8 +132,7 @@ class _Ear:
         if world is None:
             self._heard = heard
             return
-        card, table, wrong = self._inquiry.card(world, 0)
-        self._prepare(world, card.params)
+        self._prepare(world, self._inquiry.params(world))
         ticks = [self._tick_of(name, data) for name, data in heard]
         first = min((tick for tick in ticks if tick is not None), default=None)
         if first is None:

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ember_ros import topics
-from ember_ros.bag.card import Card
 from ember_ros.bag.reading import Bag, Tick
 from ember_ros.errors import BagError
 from ember_ros.plan import Plan
@@ -211,8 +210,10 @@ def replay(
     world = RecordedWorld(bag.legs, bag.ticks(), rate / bag.params.gait.tick_s)
     with tempfile.TemporaryDirectory(prefix="ember_ros_replay_") as name:
         folder = Path(name)
+        start = folder / "start.npz"
+        save_table(start, bag.table, bag.params, 0)
         # The world ends where the record does; there are no more cycles than phases.
-        plan = _plan(bag, bag.card, folder, bag.messages(topics.PHASE))
+        plan = bag.card.plan(bag.messages(topics.PHASE), start)
         began = time.perf_counter()
         done, table = (_by_loop if on == "loop" else _by_graph)(plan, world, folder, go_on)
         seconds = time.perf_counter() - began
@@ -238,14 +239,6 @@ def replay(
         stopped=not world.over,
         seconds=seconds,
     )
-
-
-def _plan(bag: Bag, card: Card, folder: Path, cycles: int) -> Plan:
-    start = None
-    if bag.table is not None:
-        start = folder / "start.npz"
-        save_table(start, bag.table, bag.params, 0)
-    return card.plan(cycles, start)
 
 
 def _by_loop(
