@@ -28,7 +28,7 @@ help: ## list the targets (the default)
 venv: $(STAMP) ## make .venv and install the package into it, editable
 
 # Launch files and wrappers are copied into .venv even by an editable install.
-$(STAMP): pyproject.toml package.xml $(wildcard ember_ros/launch/* ember_ros/resource/lib/*)
+$(STAMP): pyproject.toml package.xml $(wildcard ember_ros/launch/* ember_ros/config/* ember_ros/resource/lib/*)
 	@python='$(PYTHON)'; \
 	if ! test -x $(VENV)/bin/python; then \
 	  test -n "$$python" || { echo "no Python >= 3.10 with venv and ensurepip found" >&2; exit 1; }; \

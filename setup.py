@@ -18,12 +18,15 @@ setup(
     maintainer_email="ember_ros@example.org",
     python_requires=">=3.10",
     packages=find_packages(include=["ember_ros*", "sim_node*", "leg_node*", "cpg_node*"]),
-    # Only what packages names: launch files and wrappers go to share/ and lib/.
+    # Only what is named: launch files and wrappers go to share/ and lib/; parameter files are read
+    # by `ember` from the package, and by `ros2 run` from share/.
     include_package_data=False,
+    package_data={"ember_ros": ["config/*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["ember_ros/resource/ember_ros"]),
         ("share/ember_ros", ["package.xml"]),
         ("share/ember_ros/launch", sorted(glob("ember_ros/launch/*.launch.py"))),
+        ("share/ember_ros/config", sorted(glob("ember_ros/config/*.yaml"))),
         ("lib/ember_ros", sorted(glob("ember_ros/resource/lib/*"))),
     ],
     zip_safe=False,

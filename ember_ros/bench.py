@@ -213,7 +213,7 @@ def _table_memory(params: Params, epochs: int) -> dict[str, int]:
     import tracemalloc
 
     cells = cells_sha256(params)
-    shared = SharedTable(empty_table(params), cells=cells, floor=params.walk.alpha_floor)
+    shared = SharedTable(empty_table(params), cells=cells, rate=params.walk.rate)
     ticks, size = params.gait.ticks, len(shared.table)
     early = max(1, epochs // 10)
     seen: dict[str, int] = {}

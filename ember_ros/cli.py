@@ -16,13 +16,19 @@ from rich.table import Table as Grid
 
 import ember_ros
 from ember_ros.bag.storage import STORAGES, BagOptions
-from ember_ros.cli_bags import COMMANDS, INTERRUPTED, console
+from ember_ros.cli_bags import COMMANDS, INTERRUPTED, PARAMS, console
 from ember_ros.errors import EmberError, ParameterError
+from ember_ros.experiments import lab, relearn
+from ember_ros.experiments.reproduction import ALL, DOCUMENT, RESULTS, STUDIES, document
+from ember_ros.experiments.study import Size, collect, write
 from ember_ros.params import SPECS, Params
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.plan import Plan
 from ember_ros.run import PICTURE, SUMMARY, TABLE, WAYS, GoOn, run
 from ember_ros.spinning import Stop, stop_signals
+
+RELEARN = "relearn"
+"""The experiment that is made of bags, not of trials."""
 
 
 class _Group(click.Group):
@@ -107,12 +113,7 @@ def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
                 type=click.Path(path_type=Path),
                 help="Start from this table.npz instead of from nothing.",
             ),
-            click.option(
-                "--params",
-                "params_file",
-                type=click.Path(path_type=Path),
-                help="A ROS parameter file (section /**); `ember params` prints one.",
-            ),
+            PARAMS,
             click.option(
                 "--out",
                 type=click.Path(path_type=Path, file_okay=False),
@@ -168,7 +169,7 @@ def _run(
     cycles: int,
     seed: int,
     out: Path,
-    params_file: Path | None,
+    params_files: tuple[Path, ...],
     table: Path | None,
     learning: bool | None,
     policy: str,
@@ -183,7 +184,7 @@ def _run(
         world,
         cycles,
         seed=seed,
-        params=load_params(params_file) if params_file else Params(),
+        params=load_params(*params_files),
         policy=policy,
         learning=policy == "learned" if learning is None else learning,
         table=table,
@@ -291,9 +292,7 @@ def _grid(summaries: dict[str, dict[str, Any]]) -> Grid:
 @click.option("--cycles", type=int, default=6000, show_default=True, help="On the trainer.")
 @click.option("--walk-cycles", type=int, default=300, show_default=True, help="On the body.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of both runs.")
-@click.option(
-    "--params", "params_file", type=click.Path(path_type=Path), help="A ROS parameter file."
-)
+@PARAMS
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -301,13 +300,15 @@ def _grid(summaries: dict[str, dict[str, Any]]) -> Grid:
     show_default=True,
     help="Folder for both runs and demo.png; an earlier demo there is replaced.",
 )
-def demo(cycles: int, walk_cycles: int, seed: int, params_file: Path | None, out: Path) -> None:
+def demo(
+    cycles: int, walk_cycles: int, seed: int, params_files: tuple[Path, ...], out: Path
+) -> None:
     """Train a leg, walk on four on the graph, draw it all.
 
     The leg learns alone with the direct loop; then four nodes with its table carry the body on a
     live graph, and go on learning.
     """
-    params = load_params(params_file) if params_file else Params()
+    params = load_params(*params_files)
     training = Plan("trainer", cycles, seed=seed, params=params)
     walking = Plan("walker", walk_cycles, seed=seed, params=params, table=out / "train" / TABLE)
     for stale in (out / "demo.png", out / "walk" / SUMMARY, out / "walk" / TABLE):
@@ -333,9 +334,7 @@ def demo(cycles: int, walk_cycles: int, seed: int, params_file: Path | None, out
 @click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Turns.")
 @click.option("--train-cycles", type=click.IntRange(1), default=6000, show_default=True)
 @click.option("--epochs", type=click.IntRange(10), default=10_000, show_default=True)
-@click.option(
-    "--params", "params_file", type=click.Path(path_type=Path), help="A ROS parameter file."
-)
+@PARAMS
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -343,7 +342,7 @@ def demo(cycles: int, walk_cycles: int, seed: int, params_file: Path | None, out
     show_default=True,
     help="Folder for bench.json and bench.md.",
 )
-def bench(params_file: Path | None, out: Path, **sizes: int) -> None:
+def bench(params_files: tuple[Path, ...], out: Path, **sizes: int) -> None:
     """Measure ticks a second and what a tick costs.
 
     One walk is run by physics alone, the loop, the graph in one process and in seven, in turn and
@@ -351,7 +350,7 @@ def bench(params_file: Path | None, out: Path, **sizes: int) -> None:
     """
     from ember_ros import bench as measure
 
-    params = load_params(params_file) if params_file else Params()
+    params = load_params(*params_files)
     with console.status("") as status:
         found = measure.bench(params, say=status.update, **sizes)
     out.mkdir(parents=True, exist_ok=True)
@@ -366,45 +365,94 @@ def bench(params_file: Path | None, out: Path, **sizes: int) -> None:
 
 
 @main.command()
-@click.argument("name", type=click.Choice(["first-light", "relearn"]))
-@click.option("--seeds", type=click.IntRange(1), default=5, show_default=True, help="How many.")
+@click.argument("name", type=click.Choice([*STUDIES, RELEARN, ALL]))
+@click.option("--seeds", type=click.IntRange(1), help="How many. Default: 10 (relearn: 5).")
 @click.option(
     "--cycles",
     type=click.IntRange(1),
-    help="On the trainer (first-light, 6000), or that are recorded (relearn, 1000).",
+    help="On the trainer. Default: 6000 (relearn: that are recorded, 1000).",
 )
-@click.option("--walk-cycles", type=click.IntRange(1), default=300, show_default=True, help="Body.")
+@click.option(
+    "--walk-cycles",
+    type=click.IntRange(1),
+    help="On the body, where a walk is long; others take 1/14. Default: 7000 (relearn: 300).",
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     default="out/experiments",
     show_default=True,
-    help="Folder for the page, the numbers and the runs.",
+    help="Folder for REPRODUCTION.md, and for results/NAME.md, .json, .csv and .png.",
 )
-def experiment(name: str, seeds: int, cycles: int | None, walk_cycles: int, out: Path) -> None:
-    """Run an experiment over many seeds, and write its page.
+@click.option(
+    "--trials",
+    type=click.Path(path_type=Path, file_okay=False),
+    default="out/trials",
+    show_default=True,
+    help="Folder of all single runs; what is there is not run again.",
+)
+def experiment(
+    name: str,
+    seeds: int | None,
+    cycles: int | None,
+    walk_cycles: int | None,
+    out: Path,
+    trials: Path,
+) -> None:
+    """Run an experiment over many seeds, two runs at once, and write what came of it.
+
+    Stopped by Ctrl-C, it goes on where it was when it is started again.
 
     \b
-    first-light  one leg trained alone; then walkers in one body: trained, scripted,
-                 random, and legs that know nothing
-    relearn      tables learnt from bags of random and scripted walkers, and how they walk
+    fig5         one leg on the trainer, the stop fixed or modulated
+    walker       figures 6 and 7, and steps to failure: learning on the body
+    direct       legs that know nothing, on the body
+    sharing      one table for all legs against one each
+    regime       which training walks better
+    baselines    by hand, random, frozen, learning, a central learner
+    learners     what ember adds to plain, each part alone and left out
+    frontier     narrow bodies
+    senses       each sense left out; what a walker meets that is new to it
+    sensitivity  the mechanics, one number at a time
+    relearn      tables learnt from bags of random and scripted walkers
+    all          all of the paper's, and the document REPRODUCTION.md
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
-    from ember_ros.experiments import first_light, relearn
-
-    study, page, cycles = {
-        "first-light": (first_light.first_light, first_light.page, cycles or first_light.CYCLES),
-        "relearn": (relearn.relearn_experiment, relearn.page, cycles or relearn.CYCLES),
-    }[name]
     command = shlex.join(["ember", *sys.argv[1:]])
-    out.mkdir(parents=True, exist_ok=True)
-    with stop_signals() as stop, _progress(name, seeds, stop, "seeds") as go_on:
-        found = study(seeds, cycles, walk_cycles, out / "runs" / name, go_on)
+    if name == RELEARN:
+        _relearn(seeds or 5, cycles or relearn.CYCLES, walk_cycles or 300, out, trials, command)
+        return
+    size = Size(seeds or 10, cycles or 6000, walk_cycles or 7000)
+    studies = list(STUDIES.values()) if name == ALL else [STUDIES[name]]
+    needed = [trial for study in studies for arm in study.arms(size) for trial in arm.trials]
+    with stop_signals() as stop, _progress(name, 100, stop, "%") as go_on:
+        whole = lab.run_all(needed, trials, lambda spent, of: go_on(100 * spent // of, 0))
+    if not whole:
+        console.print(f"Stopped; what was run is in {trials}, and is not run again.")
+        sys.exit(INTERRUPTED)
+    for study in studies:
+        write(study, collect(study, size, command, trials), out / RESULTS)
+    made = [f"{study.name}.md" for study in studies]
+    if name == ALL:
+        (out / DOCUMENT).write_text(document(out / RESULTS), encoding="utf-8")
+        made.append(f"../{DOCUMENT}")
+    console.print(f"In {out / RESULTS}: {', '.join(made)}, with .json, .csv and .png of each")
+
+
+def _relearn(
+    seeds: int, cycles: int, walk_cycles: int, out: Path, trials: Path, command: str
+) -> None:
+    with stop_signals() as stop, _progress(RELEARN, seeds, stop, "seeds") as go_on:
+        found = relearn.relearn_experiment(
+            seeds, cycles, walk_cycles, trials / RELEARN, lambda done, of: go_on(done, 0)
+        )
     if not found:
         raise ParameterError("stopped before the first seed was done; nothing was written")
-    text = page(found, cycles, walk_cycles, command)
-    (out / f"{name}.md").write_text(text, encoding="utf-8")
-    (out / f"{name}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    console.print(f"{len(found)} of {seeds} seeds; in {out}: {name}.md, {name}.json")
+    folder = out / RESULTS
+    folder.mkdir(parents=True, exist_ok=True)
+    text = relearn.page(found, cycles, walk_cycles, command)
+    (folder / f"{RELEARN}.md").write_text(text, encoding="utf-8")
+    (folder / f"{RELEARN}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    console.print(f"{len(found)} of {seeds} seeds; in {folder}: {RELEARN}.md, {RELEARN}.json")
 
 
 @main.command("params")

@@ -25,7 +25,7 @@ from ember_ros.bag.repair import repair
 from ember_ros.bag.replay import WAYS, replay
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.params import SPECS, replace
-from ember_ros.params_file import dump_params, load_params
+from ember_ros.params_file import config_names, dump_params, load_params
 from ember_ros.run import TABLE, no_ros
 from ember_ros.spinning import prepare_environment, stop_signals
 from leg_node.table import load_table, save_table
@@ -39,6 +39,15 @@ LOOK_S = 1.0
 
 console = Console(highlight=False, markup=False)
 
+PARAMS = click.option(
+    "--params",
+    "params_files",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="A ROS parameter file (section /**; `ember params` prints one), or the name of one that "
+    f"comes with the package: {', '.join(config_names())}. May be given more than once; what a "
+    "later one says wins.",
+)
 _BAG = click.argument("bag", type=click.Path(path_type=Path))
 _NAMESPACE = click.option("--namespace", help="Of the robot, where the bag holds more than one.")
 
@@ -296,12 +305,7 @@ class _Numbers(click.ParamType):  # type: ignore[type-arg, unused-ignore]
     help="Which learning numbers hold. Default: those of the first bag's world.",
 )
 @click.option("--table", type=click.Path(path_type=Path), help="Start from it, not from nothing.")
-@click.option(
-    "--params",
-    "params_file",
-    type=click.Path(path_type=Path),
-    help="Numbers to learn with, instead of those in the first bag.",
-)
+@PARAMS
 @_NAMESPACE
 @click.option(
     "--out",
@@ -320,7 +324,7 @@ def relearn_command(
     passes: int,
     stage: str | None,
     table: Path | None,
-    params_file: Path | None,
+    params_files: tuple[Path, ...],
     namespace: str | None,
     out: Path,
     force: bool,
@@ -330,7 +334,7 @@ def relearn_command(
 
     Q-learning is off-policy: whatever the legs did when the bags were recorded, the table that
     would have been learnt from it with these rewards, partitions and rates is worked out, bag
-    after bag in the order given.
+    after bag in the order given. Numbers are those of the first bag, or those of --params.
 
     \b
     ember relearn bags/walk --gamma 0.9 --reward.slip 2
@@ -343,12 +347,15 @@ def relearn_command(
             f"{out} holds an earlier relearn ({', '.join(kept)}); give another --out, or --force "
             "to replace it"
         )
-    given = load_params(params_file) if params_file else None
+    given = load_params(*params_files) if params_files else None
     with Bag(bags[0], namespace=namespace, params=given) as first:
         stage = stage or first.stage
         base = given or first.params
     changes = {name.replace("__", "."): value for name, value in numbers.items()}
     changes |= {f"{stage}.alpha_floor": alpha, f"{stage}.gamma": gamma}
+    rate = base.walk.rate if stage == "walk" else base.train.rate
+    if alpha is not None and alpha > rate.ceiling:  # a constant rate stays one
+        changes[f"{stage}.alpha_ceiling"] = alpha
     if bins is not None:
         changes["state.hip_bins"] = bins
     changes = {name: value for name, value in changes.items() if value is not None}

@@ -68,7 +68,7 @@ class Loop:
         params = plan.params
         table = load_table(plan.table, params)[0] if plan.table else empty_table(params)
         numbers = params.walk if plan.stage == "walk" else params.train
-        self.shared = SharedTable(table, cells=cells_sha256(params), floor=numbers.alpha_floor)
+        self.shared = SharedTable(table, cells=cells_sha256(params), rate=numbers.rate)
         self.legs = [
             LegModule(
                 params,

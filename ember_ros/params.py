@@ -155,6 +155,7 @@ class Reward:
     height_scale: float = num(0.025, "m", "height error that earns nothing", 1e-6, 1.0)
     term_low: float = num(-0.5, "1", "slip and height terms never fall below this")
     lost_contact: float = num(-0.5, "1", "no contact during stance")
+    lead: int = num(2, "tick", "so long before stance is rewarded as stance is", 0, 1023)
     swing_free: float = num(0.3, "1", "no contact during swing")
     swing_strike: float = num(-1.0, "1", "contact during swing")
     force: float = num(-0.5, "1/load", "per load of peak force over the limit")
@@ -162,29 +163,47 @@ class Reward:
     force_most: float = num(4.0, "load", "peak force over the limit counts up to this", 0.0)
 
 
+class Rate(NamedTuple):
+    """The learning rate of a cell at its Nth visit: ``1 / N``, within two bounds."""
+
+    floor: float
+    ceiling: float
+
+
 @dataclass(frozen=True)
 class Learning:
-    """One-step Q-learning, epsilon-greedy (paper, section VI-C). One set a stage."""
+    """One-step Q-learning, epsilon-greedy (paper, section VI-C). One set a stage.
 
-    gamma: float = num(0.8, "1", "discount a tick", 0.0, 1.0)
-    alpha_floor: float = num(0.1, "1", "learning rate is the larger of this and 1/visits", 0.0, 1.0)
-    epsilon_start: float = num(0.20, "1", "share of random actions at first", 0.0, 1.0)
+    The paper's own learner is in ``config/plain.yaml``: a constant rate, and the table read as it
+    is.
+    """
+
+    gamma: float = num(0.9, "1", "discount a tick", 0.0, 1.0)
+    alpha_floor: float = num(
+        0.02, "1", "learning rate is 1/visits, but not less than this", 0.0, 1.0
+    )
+    alpha_ceiling: float = num(1.0, "1", "nor more than this; the floor: a constant", 0.0, 1.0)
+    epsilon_start: float = num(1.0, "1", "share of random actions at first", 0.0, 1.0)
     epsilon_end: float = num(0.01, "1", "share of random actions in the end", 0.0, 1.0)
     epsilon_cycles: int = num(3000, "cycle", "from the first to the last", 1, 10**9)
-    smooth: float = num(0.0, "1", "say of a neighbour one bin away; 0: none, the paper's", 0.0, 0.9)
-    smooth_hair: float = num(0.2, "1", "the same for the other state of the hair", 0.0, 0.9)
+    smooth: float = num(0.3, "1", "say of a neighbour one bin away; 0: none, the paper's", 0.0, 0.9)
     smooth_every: int = num(4, "cycle", "between two smoothed readings of the table", 1, 10**6)
     visits_own: int = num(100, "1", "most visits of a cell that count for itself", 1, 10**9)
     visits_near: int = num(5, "1", "most visits of a cell that count for its neighbours", 0, 10**9)
-    prior: float = num(2.0, "visit", "weight of the whole state for each action", 0.001, 1e6)
+    prior: float = num(5.0, "visit", "weight of the whole state for each action; 0: none", 0.0, 1e6)
     pessimism: float = num(
         1.0, "1", "an untried action is this much worse than its state", 0.0, 1e6
     )
     sync_every: int = num(32, "tick", "ticks between syncs with the shared table", 1, 10**6)
 
+    @property
+    def rate(self) -> Rate:
+        """Return the bounds of the learning rate."""
+        return Rate(self.alpha_floor, self.alpha_ceiling)
+
 
 def _walking() -> Learning:
-    return Learning(alpha_floor=0.03, epsilon_start=0.005, epsilon_end=0.005)
+    return Learning(alpha_floor=0.03, epsilon_start=0.0, epsilon_end=0.0)
 
 
 @dataclass(frozen=True)
@@ -338,6 +357,12 @@ def _check_together(p: Params) -> None:
         raise ParameterError(
             f"leg.foot_radius = {p.leg.foot_radius} m must be less than leg.shank_length"
         )
+    for stage, numbers in (("train", p.train), ("walk", p.walk)):
+        if numbers.alpha_floor > numbers.alpha_ceiling:
+            raise ParameterError(
+                f"{stage}.alpha_floor = {numbers.alpha_floor} must not be greater than "
+                f"{stage}.alpha_ceiling = {numbers.alpha_ceiling}"
+            )
     trainer = p.trainer
     if trainer.stop_low > trainer.stop_high:
         raise ParameterError(

@@ -14,17 +14,43 @@ SECTION = "/**"
 NUMBERS = "ros__parameters"
 
 
-def load_params(file: Path) -> Params:
-    """Read a parameter file: its section ``/**``.
+CONFIG = Path(__file__).parent / "config"
+"""The parameter files that come with the package, for ``ember`` and for ``ros2 run`` alike."""
+
+
+def config_names() -> list[str]:
+    """Return the names of the parameter files that come with the package."""
+    return sorted(file.stem for file in CONFIG.glob("*.yaml"))
+
+
+def load_params(*files: Path | str) -> Params:
+    """Read parameter files, each its section ``/**``; what a later one says wins.
+
+    Args:
+        files: paths, or names of files that come with the package (``plain``, ``narrow``).
 
     Raises:
-        ParameterError: it is missing, no YAML, of another form, or names or values are wrong.
+        ParameterError: one is missing, no YAML, of another form, or names or values are wrong.
     """
+    params = Params()
+    for file in map(Path, files):
+        own = CONFIG / f"{file}.yaml"
+        named = not file.exists() and str(file) in config_names()
+        params = _load(own if named else file, params)
+    return params
+
+
+def _load(file: Path, base: Params) -> Params:
+    """Return ``base`` with what a file says."""
     right = f"`{SECTION}: {{{NUMBERS}: {{group: {{name: value}}}}}}` would be right"
     try:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ParameterError(f"cannot read the parameter file {file}: {error.strerror}") from error
+        known = ", ".join(config_names())
+        raise ParameterError(
+            f"cannot read the parameter file {file}: {error.strerror}; a path, or one of {known} "
+            "would be right"
+        ) from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ParameterError(f"{file} is no YAML: {error}") from error
     if not isinstance(content, dict) or set(content) != {SECTION}:
@@ -42,7 +68,7 @@ def load_params(file: Path) -> Params:
         else:  # also written as one dotted name, as `ros2 param dump` does not but people do
             changes[str(group)] = fields
     try:
-        return replace(Params(), changes)
+        return replace(base, changes)
     except ParameterError as error:
         raise ParameterError(f"{file}: {error}") from error
 

@@ -31,13 +31,22 @@ class LegGait:
             for n in range(gait.ticks)
         ]
 
-    def _slot(self, phase: Phase, ahead: int = 0) -> int:
+    def slot(self, phase: Phase, ahead: int = 0) -> int:
+        """Return the tick of the leg's own cycle, 0 at the start of stance, ``ahead`` ticks on."""
         return (int((phase + self._offset) * self._ticks) + ahead) % self._ticks
 
     def stance(self, phase: Phase) -> bool:
         """Return whether the tick that begins at ``phase`` belongs to stance."""
-        return self._stance[self._slot(phase)]
+        return self._stance[self.slot(phase)]
+
+    def rewarded_as_stance(self, phase: Phase, lead: int) -> bool:
+        """Return whether the tick that begins at ``phase`` is rewarded as stance.
+
+        That is stance itself and, before it, the last ``lead`` ticks of swing: a foot that comes
+        down just before it has to carry does what it should.
+        """
+        return self.stance(phase) or self._stance[self.slot(phase, lead)]
 
     def hip_goal(self, phase: Phase) -> float:
         """Return the hip angle, rad, that the ramp has at the end of the tick."""
-        return self._ramp[self._slot(phase, ahead=1)]
+        return self._ramp[self.slot(phase, ahead=1)]

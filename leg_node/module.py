@@ -27,6 +27,7 @@ class _Pending(NamedTuple):
     state: int
     action: int
     stance: bool
+    """Whether it is rewarded as stance is."""
 
 
 class LegModule:
@@ -83,6 +84,7 @@ class LegModule:
         numbers: Learning = params.train if stage == "train" else params.walk
         self._gamma = numbers.gamma
         self._gait = LegGait(params.gait, leg)
+        self._lead = params.reward.lead
         self._partition = partition or Partition(params)
         self._rewarder = rewarder or Rewarder(params)
         self.copy = LocalCopy(
@@ -90,11 +92,11 @@ class LegModule:
             leg=self.position,
             run=run,
             cells=cells_sha256(params),
-            floor=numbers.alpha_floor,
+            rate=numbers.rate,
             sync_every=numbers.sync_every if self.shared else 0,
         )
         self._reading: Reading = PlainReading(self.copy.table)
-        if numbers.smooth > 0.0:
+        if numbers.smooth > 0.0 or numbers.prior > 0.0:
             shape, ticks = self._partition.shape, params.gait.ticks
             self._reading = SmoothReading(self.copy.table, shape, numbers, ticks)
         self._policy = self._make_policy(policy, numbers, seed)
@@ -120,6 +122,7 @@ class LegModule:
         if self.learning and not sense.restart:
             self._learn(sense, state)
         action = self._policy.choose(sense, phase, state)
+        stance = self._gait.rewarded_as_stance(phase, self._lead)
         self._pending = _Pending(sense.tick, state, action, stance)
         return self._command(sense, phase, action)
 

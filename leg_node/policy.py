@@ -23,6 +23,12 @@ class Policy(Protocol):
         ...
 
 
+def epsilon_at(learning: Learning, cycle: int) -> float:
+    """Return the share of random actions in a cycle: linear in cycles, then constant."""
+    done = min(1.0, cycle / learning.epsilon_cycles)
+    return learning.epsilon_start + done * (learning.epsilon_end - learning.epsilon_start)
+
+
 class EpsilonGreedy:
     """The best action of the state as the table is read, but now and then any (section VI-C).
 
@@ -43,18 +49,12 @@ class EpsilonGreedy:
         self._actions, self._ticks = actions, ticks
         self._cycle, self._epsilon = -1, 0.0  # epsilon is worked out once a cycle
 
-    def epsilon(self, tick: int) -> float:
-        """Return the share of random actions at a tick: linear in cycles, then constant."""
-        learning = self._learning
-        done = min(1.0, tick // self._ticks / learning.epsilon_cycles)
-        return learning.epsilon_start + done * (learning.epsilon_end - learning.epsilon_start)
-
     def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
         """Return the best action, or any with probability epsilon."""
         rng = self._rng
         cycle = sense.tick // self._ticks
         if cycle != self._cycle:
-            self._cycle, self._epsilon = cycle, self.epsilon(sense.tick)
+            self._cycle, self._epsilon = cycle, epsilon_at(self._learning, cycle)
         if rng.random() < self._epsilon:
             return int(rng.integers(self._actions))
         row = self._reading.row(sense.tick, state)

@@ -37,10 +37,11 @@ class PlainReading:
 class SmoothReading:
     """Similar local states want similar local actions (paper, section V): neighbours have a say.
 
-    A cell's neighbours count by a kernel that falls with every bin between them, and by how often
-    they were visited; stance and swing have nothing to say to each other. What is known of a whole
-    state stands in for actions that were hardly tried, less ``pessimism``: an untried action is
-    not good merely because all others have been found to cost something.
+    Two things, each with its own switch. ``smooth``: a cell's neighbours count by a kernel that
+    falls with every bin between them, and by how often they were visited; stance and swing have
+    nothing to say to each other. ``prior``: what is known of a whole state stands in for actions
+    that were hardly tried, less ``pessimism``: an untried action is not good merely because all
+    others have been found to cost something.
     """
 
     def __init__(
@@ -59,19 +60,14 @@ class SmoothReading:
         self._every = numbers.smooth_every * ticks
         self._turn = -1
         self._values: Floats = np.empty((table.states, table.actions))
-        hip, force, inclination, _, hair, actions = self._shape
-        self._kernels = {
-            0: self._kernel(hip, numbers.smooth),
-            1: self._kernel(force, numbers.smooth),
-            2: self._kernel(inclination, numbers.smooth),
-            4: self._kernel(hair, numbers.smooth_hair),
-            5: self._kernel(actions, numbers.smooth),
-        }
+        hip, force, inclination, swing, hair, actions = map(self._kernel, self._shape)
+        # Neighbouring axes together, so that a spread is three products of matrices.
+        self._hip, self._contact = hip, np.kron(force, inclination)
+        self._rest = np.kron(np.eye(len(swing)), np.kron(hair, actions))
 
-    @staticmethod
-    def _kernel(bins: int, factor: float) -> Floats:
+    def _kernel(self, bins: int) -> Floats:
         places = np.arange(bins)
-        kernel: Floats = factor ** np.abs(places[:, None] - places).astype(float)
+        kernel: Floats = self._numbers.smooth ** np.abs(places[:, None] - places).astype(float)
         return kernel
 
     def row(self, tick: int, state: int) -> list[float]:
@@ -85,9 +81,10 @@ class SmoothReading:
 
     def _spread(self, field: Floats) -> Floats:
         """Return a field in which every cell has its neighbours' share, its own once."""
-        for axis, kernel in self._kernels.items():
-            field = np.moveaxis(np.tensordot(kernel, field, axes=(1, axis)), 0, axis)
-        return field
+        bins = len(self._hip), len(self._contact), len(self._rest)
+        field = (self._hip @ field.reshape(bins[0], -1)).reshape(bins)
+        spread: Floats = self._contact @ (field @ self._rest)
+        return spread.reshape(self._shape)
 
     def _read(self) -> None:
         numbers = self._numbers
@@ -101,6 +98,7 @@ class SmoothReading:
         state = np.divide(
             total.sum(axis=-1, keepdims=True), known, out=np.zeros_like(known), where=known > 0.0
         )
-        prior = numbers.prior
-        believed = (total + prior * (state - numbers.pessimism)) / (weight + prior)
+        total += numbers.prior * (state - numbers.pessimism)
+        weight += numbers.prior
+        believed = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0.0)
         self._values = believed.reshape(self._table.states, self._table.actions)

@@ -1,8 +1,9 @@
 """What a leg is rewarded for, from its own senses (paper, section VI-A). Pure.
 
 Each term is a function of its own; ``Rewarder`` weighs and adds them, one set for stance and
-another for swing, switched by the stance bit of the tick that is rewarded. To swap a reward,
-write a class with the same call.
+another for swing. The switch between the two is synchronous with the hip, but may lead it by
+``reward.lead`` ticks (``LegGait.rewarded_as_stance``). To swap a reward, write a class with the
+same call.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class Rewarder:
 
         Args:
             sense: at the end of the tick that is rewarded.
-            stance: whether that tick belonged to stance.
+            stance: whether that tick is rewarded as stance is.
         """
         reward, leg = self._reward, self._leg
         touched = sense.force_mean > 0.0

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ember_ros.errors import PushError
+from ember_ros.params import Rate
 from ember_ros.signals import LEGS, Pair
 from leg_node.table import Floats, Ints, Table
 
@@ -60,20 +61,20 @@ class Changes(NamedTuple):
 class SharedTable:
     """The merged table and the pushes that wait to be merged."""
 
-    def __init__(self, table: Table, *, cells: str, floor: float, version: int = 0) -> None:
+    def __init__(self, table: Table, *, cells: str, rate: Rate, version: int = 0) -> None:
         """Start from ``table``, which is owned from now on.
 
         Args:
             table: what was learnt before.
             cells: SHA-256 that each push must carry.
-            floor: least learning rate.
+            rate: bounds of the learning rate.
             version: to count from; beyond all versions of an earlier life of the same table.
         """
         self.table = table
         self.version = version
         self.learning = True
         self._cells = cells
-        self._floor = floor
+        self._rate = rate
         self._changed: Ints = np.full(len(table), version, dtype=np.int64)
         self._answer: tuple[tuple[int, int], Changes] | None = None
         self._pending: dict[int, list[Push]] = {}
@@ -134,7 +135,7 @@ class SharedTable:
             return
         self.version += 1
         for pair in self._in_order(due):
-            self.table.update(pair.cell, pair.target, self._floor)
+            self.table.update(pair.cell, pair.target, self._rate)
             self._changed[pair.cell] = self.version
         for epoch in due:
             del self._pending[epoch]
@@ -152,7 +153,7 @@ class SharedTable:
         table = Table(self.table.states, self.table.actions)
         table.copy_from(self.table)
         for pair in self._in_order(self._pending):
-            table.update(pair.cell, pair.target, self._floor)
+            table.update(pair.cell, pair.target, self._rate)
         return table
 
     def pending(self) -> list[Push]:
@@ -199,7 +200,7 @@ class LocalCopy:
     """One leg's copy of the shared table, always ahead of it by what the leg learnt itself."""
 
     def __init__(
-        self, table: Table, *, leg: int, run: str, cells: str, floor: float, sync_every: int
+        self, table: Table, *, leg: int, run: str, cells: str, rate: Rate, sync_every: int
     ) -> None:
         """Start from ``table``, which is owned from now on.
 
@@ -208,14 +209,14 @@ class LocalCopy:
             leg: position of the leg in the order of legs.
             run: names this life of the leg.
             cells: SHA-256 of what gives cells their meaning.
-            floor: least learning rate.
+            rate: bounds of the learning rate.
             sync_every: ticks an epoch; 0 never syncs.
         """
         self.table = table
         self.version: int | None = None
         """Version of the shared table that is in this copy; None before the first pull."""
         self._sync_every = sync_every
-        self._leg, self._run, self._cells, self._floor = leg, run, cells, floor
+        self._leg, self._run, self._cells, self._rate = leg, run, cells, rate
         self._epoch = NO_EPOCH
         self._pairs: list[Pair] = []
         self._unmerged: list[Push] = []
@@ -228,13 +229,13 @@ class LocalCopy:
             self._pairs.append(pair)
             self._lay(pair)
         else:
-            self.table.update(pair.cell, pair.target, self._floor)
+            self.table.update(pair.cell, pair.target, self._rate)
 
     def _lay(self, pair: Pair) -> None:
         """Apply an update on top of the shared content, remembering what lies below."""
         if pair.cell not in self._base:
             self._base[pair.cell] = self.table.cell(pair.cell)
-        self.table.update(pair.cell, pair.target, self._floor)
+        self.table.update(pair.cell, pair.target, self._rate)
 
     def pull_due(self, tick: int) -> int | None:
         """Return the epoch up to which to pull before the tick is acted on, or None."""

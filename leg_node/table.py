@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 import ember_ros
 from ember_ros.errors import TableError
-from ember_ros.params import Params, as_dict, cells_sha256, params_sha256
+from ember_ros.params import Params, Rate, as_dict, cells_sha256, params_sha256
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -69,13 +69,21 @@ class Table:
         self._value[index] = value
         self._visit[index] = visits
 
-    def update(self, index: int, target: float, floor: float) -> None:
-        """Move one cell towards ``target``: ``N += 1; Q += max(floor, 1 / N) * (target - Q)``."""
+    def update(self, index: int, target: float, rate: Rate) -> None:
+        """Move one cell towards ``target``: ``N += 1; Q += alpha (target - Q)``.
+
+        ``alpha`` is ``1 / N`` within the bounds of ``rate``.
+        """
+        floor, ceiling = rate
         visits = self._visit[index] + 1
-        rate = 1.0 / visits
+        alpha = 1.0 / visits
+        if alpha < floor:
+            alpha = floor
+        elif alpha > ceiling:
+            alpha = ceiling
         value = self._value[index]
         self._visit[index] = visits
-        self._value[index] = value + (rate if rate > floor else floor) * (target - value)
+        self._value[index] = value + alpha * (target - value)
 
     def copy_from(self, other: Table) -> None:
         """Take over all cells of a table of the same size."""

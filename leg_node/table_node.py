@@ -79,7 +79,7 @@ class TableNode(Node):  # type: ignore[misc]
         return SharedTable(
             table,
             cells=cells_sha256(self._params),
-            floor=self._numbers.alpha_floor,
+            rate=self._numbers.rate,
             version=self._born,
         )
 

@@ -81,6 +81,9 @@ class BulletWorld(ABC):
 
     legs: tuple[str, ...]
     over = False
+    work = 0.0
+    """What the legs' motors have put into their joints so far, J: the positive part of torque times
+    speed, read at the end of each tick. What they take out of them again is not given back."""
     body_joints: tuple[str, ...] = ()
     """Joints that no leg owns, read with the legs' joints in one call into ``_body_joints``."""
     body_links: tuple[str, ...] = ()
@@ -142,6 +145,7 @@ class BulletWorld(ABC):
     def reset(self) -> None:
         """Build everything anew, as it was at tick 0."""
         self._tick = 0
+        self.work = 0.0
         self._build()
 
     def close(self) -> None:
@@ -174,6 +178,7 @@ class BulletWorld(ABC):
             self._feel(bullet.getContactPoints(robot, -1, -2, -2, client))  # -1, -2: with anything
         self._tick += 1
         self._senses = self._sense(restart=False)
+        self.work += self._worked
         self._read_body()
         if self._fell():
             self._build()
@@ -343,8 +348,10 @@ class BulletWorld(ABC):
         )
         self._body_joints, self._body_links = joints[len(self._motors) :], feet[len(self.legs) :]
         senses = []
+        power = 0.0
         for n, mount in enumerate(self._mounts):
             hip, knee, foot = joints[2 * n], joints[2 * n + 1], feet[n]
+            power += max(0.0, hip[1] * hip[3]) + max(0.0, knee[1] * knee[3])
             x, y, z, w = foot[5]
             # Gravity in the shank's frame, as an accelerometer there reads it.
             inclination = math.atan2(2.0 * (x * z - w * y), 1.0 - 2.0 * (x * x + y * y))
@@ -374,4 +381,5 @@ class BulletWorld(ABC):
                     restart,
                 )
             )
+        self._worked = power * params.gait.tick_s
         return tuple(senses)

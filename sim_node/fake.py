@@ -36,6 +36,7 @@ class FakeWorld:
     """Legs that are held at one height over ground that passes under them."""
 
     over = False
+    work = 0.0
 
     def __init__(
         self,

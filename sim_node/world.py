@@ -19,6 +19,9 @@ class World(Protocol):
     over: bool
     """True when there is no further tick: a recorded world ends, a simulated one never does."""
 
+    work: float
+    """Mechanical work of the legs' motors so far, J, for reports only; 0 where nobody knows it."""
+
     def observe(self) -> tuple[LegSense, ...]:
         """Return what each leg senses at the present tick; calling twice gives the same."""
         ...

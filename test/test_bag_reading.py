@@ -1305,13 +1305,13 @@ def test_two_runs_in_one_bag_are_refused(
 
 def hold_rows_equal(rows: Sequence[Row], expected: Sequence[Row]) -> None:
     """Hold that lines are equal: all bits, but for what was made of the body's angles."""
-    assert [repr(row[:6]) for row in rows] == [repr(row[:6]) for row in expected]
+    assert [repr(row[:7]) for row in rows] == [repr(row[:7]) for row in expected]
     for row, other in zip(rows, expected, strict=True):
         if row.module == BODY:
-            assert row[6:] == pytest.approx(other[6:], abs=1e-9)
+            assert row[7:] == pytest.approx(other[7:], abs=1e-9)
             assert (row.height_min_m, row.falls) == (other.height_min_m, other.falls)
         else:
-            assert row[6:] == (None,) * 6
+            assert row[7:] == (None,) * 7
 
 
 @pytest.mark.parametrize("world", ["walker", "trainer"])
@@ -1456,7 +1456,9 @@ def hold_line(line: dict[str, str], run: Run, tick: Tick, after: Tick | None, le
     """Hold that a line says what was heard, to the bit."""
     n = run.plan.legs.index(leg)
     sense, command = tick.senses[n], tick.commands[n]
-    stance = LegGait(PARAMS.gait, leg).stance(tick.phase)
+    gait = LegGait(PARAMS.gait, leg)
+    stance = gait.stance(tick.phase)
+    paid = gait.rewarded_as_stance(tick.phase, PARAMS.reward.lead)
     assert int(line["tick"]) == tick.tick
     assert float(line["time_s"]) == tick.tick * PARAMS.gait.tick_s
     assert float(line["phase"]) == tick.phase
@@ -1477,7 +1479,7 @@ def hold_line(line: dict[str, str], run: Run, tick: Tick, after: Tick | None, le
     if then is None or then.restart:
         assert line["reward"] == ""
     else:
-        assert repr(float(line["reward"])) == repr(float(Rewarder(PARAMS)(then, stance)))
+        assert repr(float(line["reward"])) == repr(float(Rewarder(PARAMS)(then, paid)))
     for name in BodyState._fields:
         value = getattr(tick.body, name)
         assert float(line[f"body_{name}"]) == pytest.approx(value, abs=1e-9)

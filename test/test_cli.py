@@ -253,16 +253,6 @@ def test_ctrl_c_saves_what_was_learnt(tmp_path: Path, way: str) -> None:
     assert load_table(tmp_path / "o" / TABLE, Params())[0].visits.sum() > 100
 
 
-def test_first_light_writes_its_page(run: Run) -> None:
-    """A small one: a line a seed and walker, and the numbers behind them."""
-    run("experiment", "first-light", "--seeds", 2, "--cycles", 3, "--walk-cycles", 2)
-    found = json.loads(Path("out/experiments/first-light.json").read_text())
-    assert [each["seed"] for each in found] == [0, 1]
-    page = Path("out/experiments/first-light.md").read_text()
-    assert page.count("\n| scripted |") == 2
-    assert f"{found[1]['trained']['distance_per_cycle_m']:.3f}" in page
-
-
 def test_bench_measures_every_way(run: Run) -> None:
     """A small one: every figure is there and positive; none is judged."""
     run("bench", "--cycles", 4, "--repeats", 1, "--train-cycles", 5, "--epochs", 20)

@@ -731,7 +731,9 @@ def test_numbers_that_are_given_are_those_that_are_learnt_with(
 
 def test_the_stage_decides_which_numbers_hold(run: Go, walked: Made) -> None:
     """Those of training differ from those of walking, and so does what is learnt."""
-    run("relearn", walked.bag, "--stage", "train", "--out", "train")
+    other = replace(PARAMS, {"train.gamma": 0.5})
+    Path("p.yaml").write_text(dump_params(other))
+    run("relearn", walked.bag, "--stage", "train", "--params", "p.yaml", "--out", "train")
     run("relearn", walked.bag, "--stage", "walk", "--out", "walk")
     train, walk = relearnt(Path("train"))[0], relearnt(Path("walk"))[0]
     assert (train["stage"], walk["stage"]) == ("train", "walk")

@@ -95,3 +95,12 @@ def test_other_ticks_and_shares(ticks: int, share: float, stance: int) -> None:
     assert [leg.stance(phase) for phase in phases] == [n < stance for n in range(ticks)]
     assert leg.hip_goal(phases[stance - 1]) == gait.hip_rear
     assert leg.hip_goal(phases[-1]) == gait.hip_front
+
+
+@pytest.mark.parametrize("lead", [0, 1, 2, 7])
+def test_the_reward_may_lead_the_hip(lead: int) -> None:
+    """The last ``lead`` ticks of swing are rewarded as stance; all of stance is, at any lead."""
+    gait = LegGait(GAIT, TRAINER_LEG)
+    paid = [gait.rewarded_as_stance(phase, lead) for phase in CYCLE]
+    assert paid == [True] * 24 + [False] * (8 - lead) + [True] * lead
+    assert [gait.rewarded_as_stance(40 + phase, lead) for phase in CYCLE] == paid

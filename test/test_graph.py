@@ -632,8 +632,10 @@ def test_a_new_world_begins_time_anew_and_legs_go_on(ros: Ros) -> None:
 def test_a_leg_in_a_new_life_lays_no_pair_twice() -> None:
     """After time began anew a pull takes away what is merged, not what was pushed first."""
     table, sha = empty_table(Params()), "cells"
-    shared = SharedTable(table, cells=sha, floor=0.1)
-    copy = LocalCopy(empty_table(Params()), leg=0, run="one", cells=sha, floor=0.1, sync_every=32)
+    shared = SharedTable(table, cells=sha, rate=Params().walk.rate)
+    copy = LocalCopy(
+        empty_table(Params()), leg=0, run="one", cells=sha, rate=Params().walk.rate, sync_every=32
+    )
 
     def epoch(first: int, last: int) -> None:
         upto = copy.pull_due(first)

@@ -14,6 +14,7 @@ import pytest
 from ember_ros.errors import ParameterError, TableError
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
+from ember_ros.params_file import load_params
 from ember_ros.plan import Plan, make_world
 from ember_ros.report.recorder import Recorder
 from ember_ros.signals import LEGS, TRAINER_LEG, BodyState, LegCommand, LegSense
@@ -23,7 +24,7 @@ from leg_node.state import Partition
 from leg_node.table import Table, empty_table, save_table
 from sim_node.fake import FakeWorld
 
-PARAMS = Params()
+PARAMS = load_params("plain")
 TICKS = PARAMS.gait.ticks
 EAGER = replace(PARAMS, {"walk.epsilon_start": 0.3, "walk.epsilon_end": 0.3})
 
@@ -269,7 +270,7 @@ def literally(heard: Heard, params: Params) -> Table:
             best = max(table.row(partition.index(new, now)))
             pairs.append((cell, rewarder(new, was) + learning.gamma * best))
         for cell, target in pairs:
-            table.update(cell, target, learning.alpha_floor)
+            table.update(cell, target, learning.rate)
     return table
 
 

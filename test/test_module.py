@@ -9,6 +9,7 @@ import pytest
 
 from ember_ros.errors import ParameterError
 from ember_ros.params import Params, replace
+from ember_ros.params_file import load_params
 from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense
 from leg_node.gait import LegGait
 from leg_node.module import LegModule
@@ -17,7 +18,7 @@ from leg_node.state import Partition
 from leg_node.table import Table, empty_table
 from sim_node.fake import FakeWorld
 
-PARAMS = Params()
+PARAMS = load_params("plain")
 TICKS = PARAMS.gait.ticks
 SPEEDS = PARAMS.leg.knee_speeds
 
@@ -74,7 +75,7 @@ def test_a_leg_is_q_learning() -> None:
         if before:
             old_state, old_action, old_stance = before.pop()
             target = rewarder(sense, old_stance) + numbers.gamma * max(plain.row(state))
-            plain.update(old_state * 9 + old_action, target, numbers.alpha_floor)
+            plain.update(old_state * 9 + old_action, target, numbers.rate)
         before.append((state, SPEEDS.index(command.knee_speed), stance))
         assert leg.copy.table.sha256() == plain.sha256()
 
@@ -165,7 +166,8 @@ def test_policies_without_a_table_are_rewarded_too(policy: str) -> None:
 
 def test_the_stage_decides_the_learning_numbers() -> None:
     """With ``train`` the floor and gamma of training hold, with ``walk`` those of walking."""
-    params = replace(PARAMS, {"walk.alpha_floor": 1.0, "walk.gamma": 0.0, "walk.epsilon_end": 1.0})
+    other = {"walk.alpha_ceiling": 1.0, "walk.alpha_floor": 1.0, "walk.gamma": 0.0}
+    params = replace(PARAMS, other)
     tables = {
         stage: module(params=params, stage=stage, policy="scripted") for stage in ("train", "walk")
     }

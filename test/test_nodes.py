@@ -489,7 +489,9 @@ def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: Tape) -> N
 
 def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: Tape) -> None:
     """While ``table/push`` is not served yet its first push would be lost: it waits for both."""
-    shared = SharedTable(empty_table(Params()), cells=cells_sha256(Params()), floor=0.1)
+    shared = SharedTable(
+        empty_table(Params()), cells=cells_sha256(Params()), rate=Params().walk.rate
+    )
     pulls: list[Any] = []
 
     def pull(

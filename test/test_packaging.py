@@ -28,6 +28,7 @@ else:
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ROOT / "ember_ros" / "launch"
+CONFIG = ROOT / "ember_ros" / "config"
 WRAPPERS = ROOT / "ember_ros" / "resource" / "lib"
 NODES = ("cpg_node", "leg_node", "recorder_node", "sim_node", "table_node")
 
@@ -40,6 +41,7 @@ ROSDEP = {
     "pybullet": "python3-pybullet-pip",
     "pybullet_data": "python3-pybullet-pip",
     "rich": "python3-rich",
+    "scipy": "python3-scipy",
     "yaml": "python3-yaml",
 }
 # Imported only by `ember` verbs that say how to install them: the extra `bags`.
@@ -174,11 +176,16 @@ def test_packages_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> 
 
 def test_package_data_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> None:
     """A file beside the modules, which pip installs unasked, is named to colcon, which does not."""
-    patterns = setup_py.get("package_data", {}).get("", [])
+    patterns = [
+        f"{package}/{pattern}"
+        for package, named in setup_py["package_data"].items()
+        for pattern in named
+    ]
     assert [
         str(path.relative_to(ROOT))
         for path in in_site_packages(pyproject)
-        if path.suffix != ".py" and not any(fnmatch(path.name, pattern) for pattern in patterns)
+        if path.suffix != ".py"
+        and not any(fnmatch(str(path.relative_to(ROOT)), pattern) for pattern in patterns)
     ] == []
 
 
@@ -188,13 +195,14 @@ def test_data_files_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -
 
 
 def test_ros_finds_the_package(setup_py: dict[str, Any]) -> None:
-    """The marker, the manifest, every launch file and one wrapper a node are where ROS looks."""
+    """Marker, manifest, launch and parameter files and a wrapper a node are where ROS looks."""
     launch_files = [path.name for path in files_below(LAUNCH)]
     assert {"walk.launch.py", "train.launch.py"} <= set(launch_files)
     assert set(shipped_by_colcon(setup_py)) == {
         "share/ament_index/resource_index/packages/ember_ros",
         "share/ember_ros/package.xml",
         *(f"share/ember_ros/launch/{name}" for name in launch_files),
+        *(f"share/ember_ros/config/{path.name}" for path in files_below(CONFIG)),
         *(f"lib/ember_ros/{node}" for node in NODES),
     }
 

@@ -313,7 +313,13 @@ def test_hash_of_equal_numbers_is_equal() -> None:
 
 
 def test_the_two_stages_differ() -> None:
-    """A leg learns quickly on the trainer and carefully on the walker, by default."""
+    """A leg tries everything on the trainer and nothing at random on the walker, by default."""
     params = Params()
-    assert params.walk.alpha_floor < params.train.alpha_floor
     assert params.walk.epsilon_start < params.train.epsilon_start
+    assert params.walk.rate != params.train.rate
+
+
+def test_bounds_of_the_rate_are_in_order() -> None:
+    """A floor over the ceiling is said, with both."""
+    with pytest.raises(ParameterError, match=r"walk\.alpha_floor = 0\.5 .*alpha_ceiling = 0\.1"):
+        replace(Params(), {"walk.alpha_floor": 0.5, "walk.alpha_ceiling": 0.1})

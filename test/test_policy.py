@@ -14,7 +14,7 @@ from ember_ros.params import Learning, Params
 from ember_ros.randomness import WORLD, generator
 from ember_ros.signals import TRAINER_LEG, LegSense
 from leg_node.gait import LegGait
-from leg_node.policy import EpsilonGreedy, Random, Scripted
+from leg_node.policy import EpsilonGreedy, Random, Scripted, epsilon_at
 from leg_node.reading import PlainReading
 from leg_node.table import Table
 
@@ -45,12 +45,11 @@ def greedy(
 
 def test_epsilon_falls_by_the_cycle_then_stays() -> None:
     """Linear from start to end over the cycles given, in steps of a cycle, constant after."""
-    policy = greedy([[0.0]], start=0.5, end=0.1, cycles=4)
-    shares = [policy.epsilon(cycle * TICKS) for cycle in range(8)]
+    learning = Learning(epsilon_start=0.5, epsilon_end=0.1, epsilon_cycles=4)
+    shares = [epsilon_at(learning, cycle) for cycle in range(8)]
     assert shares == pytest.approx([0.5, 0.4, 0.3, 0.2, 0.1, 0.1, 0.1, 0.1])
     assert shares[0] == 0.5
-    assert shares[4] == shares[7] == policy.epsilon(10**9) == pytest.approx(0.1, abs=1e-16)
-    assert {policy.epsilon(tick) for tick in range(TICKS, 2 * TICKS)} == {shares[1]}
+    assert shares[4] == shares[7] == epsilon_at(learning, 10**9) == pytest.approx(0.1, abs=1e-16)
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
@@ -58,11 +57,13 @@ def test_epsilon_falls_by_the_cycle_then_stays() -> None:
     start=st.floats(0.0, 1.0),
     end=st.floats(0.0, 1.0),
     cycles=st.integers(1, 10**9),
-    tick=st.integers(0, 10**12),
+    cycle=st.integers(0, 10**12),
 )
-def test_epsilon_stays_between_its_ends(start: float, end: float, cycles: int, tick: int) -> None:
+def test_epsilon_stays_between_its_ends(start: float, end: float, cycles: int, cycle: int) -> None:
     """Whichever way it goes, it is never under the one or over the other end."""
-    epsilon = greedy([[0.0]], start=start, end=end, cycles=cycles).epsilon(tick)
+    epsilon = epsilon_at(
+        Learning(epsilon_start=start, epsilon_end=end, epsilon_cycles=cycles), cycle
+    )
     assert min(start, end) - 1e-15 <= epsilon <= max(start, end) + 1e-15
 
 

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from ember_ros.params import Learning
+from ember_ros.params import Learning, Rate
 from leg_node.reading import PlainReading, SmoothReading
 from leg_node.table import Floats, Table
 
@@ -31,8 +31,8 @@ def by_definition(table: Table, numbers: Learning) -> Floats:
         for j, b in enumerate(cells):
             if a[3] != b[3]:
                 continue  # stance and swing have nothing to say to each other
-            bins = sum(abs(a[axis] - b[axis]) for axis in (0, 1, 2, 5))
-            kernel = numbers.smooth**bins * (numbers.smooth_hair if a[4] != b[4] else 1.0)
+            bins = sum(abs(a[axis] - b[axis]) for axis in (0, 1, 2, 4, 5))
+            kernel = numbers.smooth**bins
             most = numbers.visits_own if i == j else numbers.visits_near
             visits = kernel * min(int(table.visits[j]), most)
             weight[i] += visits
@@ -50,7 +50,7 @@ def test_plain_reading_is_the_table() -> None:
     table = some_table()
     reading = PlainReading(table)
     assert reading.row(0, 7) == table.row(7)
-    table.update(7 * ACTIONS, 5.0, 0.1)
+    table.update(7 * ACTIONS, 5.0, Rate(0.1, 1.0))
     assert reading.row(1, 7) == table.row(7)
 
 
@@ -67,8 +67,8 @@ def test_untried_actions_are_no_better_than_their_state() -> None:
     """Where all that was tried was bad, an untried action is believed to be worse, not 0."""
     table = Table(STATES, ACTIONS)
     for _ in range(50):
-        table.update(0, -2.0, 0.01)
-        table.update(1, -3.0, 0.01)
+        table.update(0, -2.0, Rate(0.01, 1.0))
+        table.update(1, -3.0, Rate(0.01, 1.0))
     row = SmoothReading(table, SHAPE, Learning(smooth=1e-9), TICKS).row(0, 0)
     assert row[2] < min(row[:2])
 
@@ -78,6 +78,6 @@ def test_a_smoothed_reading_holds_for_its_cycles() -> None:
     table = some_table()
     reading = SmoothReading(table, SHAPE, Learning(smooth=0.3, smooth_every=2), TICKS)
     first = reading.row(0, 3)
-    table.update(3 * ACTIONS, 100.0, 0.5)
+    table.update(3 * ACTIONS, 100.0, Rate(0.5, 1.0))
     assert reading.row(2 * TICKS - 1, 3) == first
     assert reading.row(2 * TICKS, 3) != first

@@ -108,23 +108,28 @@ def test_the_legs_lines() -> None:
         gait = LegGait(PARAMS.gait, leg)
         for cycle in range(2):
             ends = [
-                (gait.stance(tick.phase), after.senses[place])
+                (
+                    gait.stance(tick.phase),
+                    gait.rewarded_as_stance(tick.phase, PARAMS.reward.lead),
+                    after.senses[place],
+                )
                 for tick, after in zip(
                     heard[cycle * TICKS : (cycle + 1) * TICKS],
                     heard[cycle * TICKS + 1 :],
                     strict=False,
                 )
             ]
-            felt = [(stance, sense) for stance, sense in ends if not sense.restart]
+            felt = [each for each in ends if not each[2].restart]
             assert len(felt) == TICKS - cycle
             (row,) = (r for r in recorder.rows if (r.cycle, r.module) == (cycle, leg))
-            assert row.peak_force_n == max(sense.force_peak for _, sense in felt)
+            assert row.peak_force_n == max(sense.force_peak for *_, sense in felt)
             assert row.reward == pytest.approx(
-                sum(rewarder(sense, stance) for stance, sense in felt) / TICKS
+                sum(rewarder(sense, paid) for _, paid, sense in felt) / TICKS
             )
-            assert row.contact_share == sum(s and x.force_mean > 0.0 for s, x in felt) / 24
-            assert row.slip_m == pytest.approx(sum(sense.slip for _, sense in felt))
-            assert row[6:] == (None,) * 6
+            assert row.contact_share == sum(s and x.force_mean > 0.0 for s, _, x in felt) / 24
+            assert row.duty_factor == sum(x.force_mean > 0.0 for *_, x in felt) / TICKS
+            assert row.slip_m == pytest.approx(sum(sense.slip for *_, sense in felt))
+            assert row[7:] == (None,) * 7
 
 
 def test_contact_share_is_of_stance_only() -> None:

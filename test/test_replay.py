@@ -594,14 +594,15 @@ def literally(bags: Sequence[Path], own: Params) -> Table:
                 best = max(table.row(partition.index(new, now)))
                 pairs.append((cell, rewarder(new, was) + learning.gamma * best))
             for cell, target in pairs:
-                table.update(cell, target, learning.alpha_floor)
+                table.update(cell, target, learning.rate)
     return table
 
 
 def test_relearning_with_other_numbers_is_what_would_have_been_learnt(runs: list[Made]) -> None:
     """Worked out by other means, with one table for all: the same table, bit for bit."""
     changes = {
-        "walk.sync_every": 1, "walk.gamma": 0.9, "walk.alpha_floor": 0.2, "reward.slip": 2.0,
+        "walk.smooth": 0.0, "walk.prior": 0.0, "reward.lead": 0,
+        "walk.sync_every": 1, "walk.gamma": 0.7, "walk.alpha_floor": 0.2, "reward.slip": 2.0,
         "reward.swing_strike": -0.25, "state.hip_bins": 7, "state.force_edges": [0.1, 1.0],
     }  # fmt: skip
     own = replace(runs[0].plan.params, changes)
@@ -658,7 +659,7 @@ def test_a_pass_is_all_bags_once(runs: list[Made]) -> None:
         ("state.hip_bins", 25),
         ("walk.gamma", 0.5),
         ("walk.alpha_floor", 0.9),
-        ("walk.smooth", 0.4),
+        ("walk.smooth_every", 1),
     ],
 )
 def test_a_changed_number_changes_the_table_and_the_parameters(

@@ -13,13 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ember_ros.errors import EmberError, PushError
+from ember_ros.params import Rate
 from ember_ros.signals import Pair
 from leg_node import shared as module
 from leg_node.journal import Journal
 from leg_node.shared import LocalCopy, Push, SharedTable
 from leg_node.table import Table
 
-STATES, ACTIONS, FLOOR, CELLS = 4, 3, 0.1, "cells"
+STATES, ACTIONS, RATE, CELLS = 4, 3, Rate(0.1, 1.0), "cells"
 few = settings(max_examples=60, deadline=None, derandomize=True)
 
 targets = st.floats(-10.0, 10.0)
@@ -35,7 +36,7 @@ histories = st.dictionaries(
 
 def shared_table() -> SharedTable:
     """Return an empty shared table."""
-    return SharedTable(Table(STATES, ACTIONS), cells=CELLS, floor=FLOOR)
+    return SharedTable(Table(STATES, ACTIONS), cells=CELLS, rate=RATE)
 
 
 def push(leg: int, epoch: int, *pairs: Any, run: str = "run") -> Push:
@@ -61,7 +62,7 @@ def in_order(pushes: list[Push]) -> Table:
     table = Table(STATES, ACTIONS)
     every = [(p.epoch, pair.tick, p.leg, n, pair) for p in pushes for n, pair in enumerate(p.pairs)]
     for *_, pair in sorted(every):
-        table.update(pair.cell, pair.target, FLOOR)
+        table.update(pair.cell, pair.target, RATE)
     return table
 
 
@@ -91,7 +92,7 @@ def test_pairs_of_one_epoch_merge_by_tick_and_leg() -> None:
     table.merge()
     value = 0.0
     for n, target in enumerate((4.0, 2.0, 8.0, 16.0), start=1):
-        value += max(FLOOR, 1.0 / n) * (target - value)
+        value += max(RATE.floor, 1.0 / n) * (target - value)
     assert table.table.cell(5) == (value, 4)
 
 
@@ -366,7 +367,7 @@ def test_a_restored_table_goes_on_as_if_it_had_lived(
         table.merge(upto)
     again = Table(STATES, ACTIONS)
     again.copy_from(died.table)
-    reborn = SharedTable(again, cells=CELLS, floor=FLOOR, version=died.version + 1)
+    reborn = SharedTable(again, cells=CELLS, rate=RATE, version=died.version + 1)
     reborn.restore(died.done(), died.pending())
     for each in pushes:
         assert reborn.push(each) == lived.push(each)
@@ -461,7 +462,7 @@ class Machine:
                 leg=leg,
                 run="run",
                 cells=CELLS,
-                floor=FLOOR,
+                rate=RATE,
                 sync_every=sync_every,
             )
             for leg in range(legs)
@@ -510,7 +511,7 @@ def test_a_copy_is_the_shared_table_and_one_s_own_pairs(
             wanted = in_order([each for each in pushed if each.epoch < epoch])
             for pair in done[leg]:
                 if pair.tick >= epoch * sync_every:
-                    wanted.update(pair.cell, pair.target, FLOOR)
+                    wanted.update(pair.cell, pair.target, RATE)
             assert content(copy.table) == content(wanted)
             if (tick + 1) % sync_every == 0:
                 own = [p for p in done[leg] if p.tick // sync_every == epoch]
@@ -530,7 +531,7 @@ def test_one_leg_alone_is_plain_q_learning(ticks: list[tuple[int, float]], sync_
     for tick, update in enumerate(ticks):
         machine.begin(copy, tick)
         copy.learn(Pair(tick, *update))
-        plain.update(*update, FLOOR)
+        plain.update(*update, RATE)
         assert content(copy.table) == content(plain)
         machine.end(copy, tick)
     machine.end(copy, len(ticks), early=True)
@@ -550,21 +551,19 @@ def test_every_tick_s_sync_is_one_table(ticks: list[list[tuple[int, float] | Non
         for copy, update in zip(machine.copies, updates, strict=True):
             if update is not None:
                 copy.learn(Pair(tick, *update))
-                one.update(*update, FLOOR)
+                one.update(*update, RATE)
         for copy in machine.copies:
             machine.end(copy, tick)
 
 
 def test_a_copy_of_its_own_never_syncs() -> None:
     """With ``sync_every = 0`` nothing is due, ever, and updates are plain."""
-    copy = LocalCopy(
-        Table(STATES, ACTIONS), leg=0, run="run", cells=CELLS, floor=FLOOR, sync_every=0
-    )
+    copy = LocalCopy(Table(STATES, ACTIONS), leg=0, run="run", cells=CELLS, rate=RATE, sync_every=0)
     plain = Table(STATES, ACTIONS)
     for tick in range(50):
         assert copy.pull_due(tick) is None
         copy.learn(Pair(tick, tick % 5, float(tick)))
-        plain.update(tick % 5, float(tick), FLOOR)
+        plain.update(tick % 5, float(tick), RATE)
         copy.close_epoch(tick, early=True)
         assert copy.push_due() is None
     assert content(copy.table) == content(plain)
@@ -607,7 +606,7 @@ def test_what_is_not_acknowledged_is_kept_over_pulls() -> None:
     for tick in range(6):
         machine.begin(copy, tick)
         copy.learn(Pair(tick, 1, float(tick)))
-        plain.update(1, float(tick), FLOOR)
+        plain.update(1, float(tick), RATE)
         copy.close_epoch(tick)  # and is not sent
         assert content(copy.table) == content(plain)
     machine.end(copy, 6)
@@ -647,7 +646,7 @@ def test_an_epoch_whose_last_tick_was_missed_is_not_lost() -> None:
     for tick in (0, 1, 2, 4, 5, 6, 7, 8, 13):
         machine.begin(copy, tick)
         copy.learn(Pair(tick, tick % 2, float(tick)))
-        plain.update(tick % 2, float(tick), FLOOR)
+        plain.update(tick % 2, float(tick), RATE)
         assert content(copy.table) == content(plain)
         machine.end(copy, tick)
     machine.end(copy, 13, early=True)
@@ -667,7 +666,7 @@ def test_an_epoch_without_an_answer_is_made_up_for() -> None:
             machine.begin(copy, tick)
         for copy in machine.copies:
             copy.learn(Pair(tick, 1, float(tick)))
-            plain.update(1, float(tick), FLOOR)
+            plain.update(1, float(tick), RATE)
         assert one.table.cell(1)[1] == 2 * (tick // 2 * 2) + tick % 2 + 1
         assert other.table.cell(1)[1] == one.table.cell(1)[1] - (2 if tick in (4, 5) else 0)
         for copy in machine.copies:
@@ -686,7 +685,7 @@ def test_nothing_is_lost_or_doubled_when_time_begins_anew(first_life: int) -> No
         for tick in range(ticks):
             machine.begin(copy, tick)
             copy.learn(Pair(tick, 1, float(tick)))
-            plain.update(1, float(tick), FLOOR)
+            plain.update(1, float(tick), RATE)
             assert copy.table.cell(1)[1] == plain.cell(1)[1]
             machine.end(copy, tick)
 

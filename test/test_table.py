@@ -18,8 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ember_ros.errors import TableError
-from ember_ros.params import Params, as_dict, cells_sha256, params_sha256, replace
+from ember_ros.params import Params, Rate, as_dict, cells_sha256, params_sha256, replace
 from leg_node.table import Table, empty_table, load_table, save_table
+
+RATE = Rate(0.1, 1.0)
 
 # A partition of few cells, so that whole files are small.
 PARAMS = replace(
@@ -40,7 +42,7 @@ def learnt(params: Params = PARAMS) -> Table:
     rng = np.random.default_rng(5)
     for cell in range(len(table)):
         for _ in range(cell % 4):
-            table.update(cell, float(rng.normal()), 0.1)
+            table.update(cell, float(rng.normal()), RATE)
     return table
 
 
@@ -76,23 +78,23 @@ def test_update_is_a_mean_until_the_floor() -> None:
     """With 1 / N the value is the mean of its targets; from the floor on it forgets the oldest."""
     table = Table(1, 1)
     for n, target in enumerate((4.0, 2.0, 6.0, 8.0), start=1):
-        table.update(0, target, 0.0)
+        table.update(0, target, Rate(0.0, 1.0))
         assert table.cell(0) == ([4.0, 3.0, 4.0, 5.0][n - 1], n)
-    table.update(0, 9.0, 0.5)
+    table.update(0, 9.0, Rate(0.5, 1.0))
     assert table.cell(0) == (7.0, 5)
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(
     targets=st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=30),
-    floor=st.floats(0.0, 1.0),
+    bounds=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)).map(sorted),
 )
-def test_update_rule_is_exact(targets: list[float], floor: float) -> None:
-    """``N += 1; Q += max(floor, 1 / N) * (target - Q)``, bit for bit, and no other cell moves."""
-    table, value = Table(3, 2), 0.0
+def test_update_rule_is_exact(targets: list[float], bounds: list[float]) -> None:
+    """``N += 1; Q += alpha (target - Q)``, 1 / N in its bounds, bit for bit; all else stays."""
+    table, value, rate = Table(3, 2), 0.0, Rate(*bounds)
     for n, target in enumerate(targets, start=1):
-        table.update(3, target, floor)
-        value += max(floor, 1.0 / n) * (target - value)
+        table.update(3, target, rate)
+        value += min(rate.ceiling, max(rate.floor, 1.0 / n)) * (target - value)
         assert table.cell(3) == (value, n)
     assert min(0.0, *targets) - 1e-9 <= value <= max(0.0, *targets) + 1e-9
     others = [0, 1, 2, 4, 5]
@@ -100,11 +102,19 @@ def test_update_rule_is_exact(targets: list[float], floor: float) -> None:
     assert not table.visits[others].any()
 
 
+def test_equal_bounds_are_a_constant_rate() -> None:
+    """The paper's rule: every target moves the value by the same share of the way."""
+    table = Table(1, 1)
+    for value in (0.25, 0.4375, 0.578125):
+        table.update(0, 1.0, Rate(0.25, 0.25))
+        assert table.cell(0)[0] == value
+
+
 def test_the_first_target_is_taken_whole() -> None:
     """What stood in a cell that nobody visited does not count: 1 / N is 1."""
     table = Table(1, 1)
     table.put(0, 123.0, 0)
-    table.update(0, 0.5, 0.1)
+    table.update(0, 0.5, RATE)
     assert table.cell(0) == (0.5, 1)
 
 
@@ -128,7 +138,7 @@ def test_a_copy_is_a_copy() -> None:
     one, other = learnt(), empty_table(PARAMS)
     other.copy_from(one)
     assert other.sha256() == one.sha256()
-    other.update(1, 5.0, 0.1)
+    other.update(1, 5.0, RATE)
     assert other.sha256() != one.sha256() == learnt().sha256()
 
 
@@ -160,7 +170,7 @@ def test_round_trip_is_exact(saved: Path) -> None:
     assert table.values.tobytes() == learnt().values.tobytes()
     assert table.visits.tobytes() == learnt().visits.tobytes()
     assert table.sha256() == learnt().sha256()
-    table.update(0, 1.0, 0.1)
+    table.update(0, 1.0, RATE)
     assert table.cell(0) == (1.0, 1)
 
 

@@ -442,7 +442,7 @@ def test_a_push_that_says_nonsense_is_refused_whole(bad: Push, names: str) -> No
     """Values that fit their types and mean nothing are refused; nothing of the push is taken."""
     params = Params()
     table = empty_table(params)
-    shared = SharedTable(table, cells=cells_sha256(params), floor=0.1)
+    shared = SharedTable(table, cells=cells_sha256(params), rate=Params().walk.rate)
     before = table.sha256()
     with pytest.raises(PushError, match=names):
         shared.push(calls.read_push(calls.write_push(bad)))
@@ -483,7 +483,7 @@ def test_a_pull_of_the_whole_table_is_the_table() -> None:
     for cell in range(15):
         table.put(cell, -cell / 7, cell)
     table.put(3, -0.0, 1)
-    shared = SharedTable(table, cells="", floor=0.1)
+    shared = SharedTable(table, cells="", rate=Params().walk.rate)
     request = GetParameters.Request(names=["about", "visits", "values", "cells", "version"])
     since, upto, wanted = calls.read_pull(request)
     assert (since, upto, wanted) == (None, None, request.names)

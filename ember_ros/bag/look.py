@@ -183,6 +183,7 @@ def _lines(bag: Bag, seen: Seen) -> Iterator[list[Any]]:
     gaits = [LegGait(bag.params.gait, leg) for leg in bag.legs]
     partition, rewarder = Partition(bag.params), Rewarder(bag.params)
     speeds = {speed: n for n, speed in enumerate(bag.params.leg.knee_speeds)}
+    lead = bag.params.reward.lead
 
     def of(tick: Tick, after: Tick | None) -> Iterator[list[Any]]:
         follows = after is not None and after.tick == tick.tick + 1
@@ -200,7 +201,9 @@ def _lines(bag: Bag, seen: Seen) -> Iterator[list[Any]]:
                 partition.index(sense, stance) if sense else "",
                 speeds.get(command.knee_speed, "") if command else "",
                 *(command[1:] if command else [""] * (len(LegCommand._fields) - 1)),
-                rewarder(then, stance) if credited and then is not None else "",
+                rewarder(then, gaits[n].rewarded_as_stance(tick.phase, lead))
+                if credited and then is not None
+                else "",
                 *tick.body,
             ]
 

@@ -100,7 +100,7 @@ def relearn(
     if table is None:
         table = empty_table(own)
     numbers = own.walk if stage == "walk" else own.train
-    shared = SharedTable(table, cells=cells_sha256(own), floor=numbers.alpha_floor)
+    shared = SharedTable(table, cells=cells_sha256(own), rate=numbers.rate)
     before = int(table.visits.sum())
     ticks = skipped = falls = 0
     for turn in range(passes):

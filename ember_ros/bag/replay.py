@@ -70,6 +70,7 @@ class RecordedWorld:
         self._last: Tick | None = None
         self._next: Tick | None = None
         self.over = False
+        self.work = 0.0  # nobody recorded it
         """Whether the record has ended."""
         self._advance()
         if self.over:

@@ -15,8 +15,10 @@ from typing import Any
 
 from ember_ros.bag.relearn import relearn
 from ember_ros.bag.storage import BagOptions
-from ember_ros.experiments.seeds import LOW_M, TILT_RAD, each_seed, outside
-from ember_ros.params import Params, replace
+from ember_ros.experiments.lab import each_seed
+from ember_ros.experiments.study import OTHER_SEED, numbers
+from ember_ros.experiments.trial import LOW_M, TILT_RAD
+from ember_ros.params import replace
 from ember_ros.plan import Plan
 from ember_ros.run import run
 from ember_ros.versions import versions
@@ -24,16 +26,13 @@ from leg_node.table import save_table
 
 CYCLES = 1000
 RECORDED = ("random", "scripted")
-SMOOTH = {"walk.smooth": 0.3}
+SMOOTH = {"walk.smooth": 0.3, "walk.prior": 5.0}
 """Neighbours have a say, and what was never tried is no better than what was."""
-OTHER_SEED = 1000
-"""Added to a seed for the walks with what was relearnt: they share no random number with the
-recorded ones."""
 
 
 def one_seed(seed: int, *, cycles: int, walk_cycles: int, out: Path) -> dict[str, Any]:
     """Record, relearn and walk with one seed, and return plain numbers."""
-    folder, params = out / f"seed{seed}", Params()
+    folder, params = out / f"seed{seed}", numbers("plain")
     shutil.rmtree(folder, ignore_errors=True)  # a bag is never written over
 
     def go(plan: Plan, name: str, bag: Path | None = None) -> dict[str, Any]:
@@ -42,7 +41,9 @@ def one_seed(seed: int, *, cycles: int, walk_cycles: int, out: Path) -> dict[str
             plan, "loop", folder / name, lambda cycles, falls: True, "relearn", into
         )
         keys = ("falls", "distance_per_cycle_m", "roll_sd_rad", "pitch_sd_rad")
-        return {key: summary[key] for key in keys} | {"outside": outside(record)}
+        rows = record.body_rows()
+        bad = sum((r.tilt_max_rad or 0) > TILT_RAD or (r.height_min_m or 0) < LOW_M for r in rows)
+        return {key: summary[key] for key in keys} | {"outside": bad / len(rows)}
 
     def walk(name: str, table: Path | None, changes: dict[str, float]) -> dict[str, Any]:
         plan = Plan(
@@ -81,7 +82,7 @@ def relearn_experiment(
         cycles: that are recorded.
         walk_cycles: that are walked with what was learnt from them.
         out: folder for the runs and bags.
-        say: told how many seeds are done; returns whether to go on.
+        say: told how many seeds are done of how many; returns whether to go on.
     """
     job = functools.partial(one_seed, cycles=cycles, walk_cycles=walk_cycles, out=out)
     return each_seed(job, seeds, say)
@@ -97,14 +98,14 @@ def page(found: list[dict[str, Any]], cycles: int, walk_cycles: int, command: st
         "",
         f"Walkers that learn nothing are recorded for {cycles} cycles: one with a random knee, "
         "one with the knee written by hand. `ember relearn` works out the table that one-step "
-        "Q-learning gets from each bag, in one pass and without one new tick. Legs with that "
-        f"table, frozen, then walk {walk_cycles} cycles with another seed. Read smoothed: "
-        "`walk.smooth: 0.3` in the parameter file. The empty table is frozen too: all its actions "
-        "are ties, and its legs act at random.",
+        "Q-learning gets from each bag, in one pass and without one new tick (`--params plain`). "
+        f"Legs with that table, frozen, then walk {walk_cycles} cycles with another seed. Read "
+        "smoothed: `walk.smooth: 0.3` and `walk.prior: 5.0` in the parameter file. The empty "
+        "table is frozen too: all its actions are ties, and its legs act at random.",
         "",
         "```",
-        f"ember walk --policy random --cycles {cycles} --seed S --on loop --bag out/bag \\",
-        "  --out out/random",
+        f"ember walk --params plain --policy random --cycles {cycles} --seed S --on loop \\",
+        "  --bag out/bag --out out/random",
         "ember relearn out/bag --out out/relearn",
         f"ember walk --freeze --cycles {walk_cycles} --seed {OTHER_SEED}+S --on loop \\",
         "  --table out/relearn/table.npz --params out/relearn/params.yaml --out out/walked",

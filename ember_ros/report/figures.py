@@ -21,20 +21,31 @@ SMOOTH = 50
 """Cycles in the moving mean of the training curves."""
 
 
-def _figure(rows: int, width: float = 9.0, height: float = 3.0) -> tuple[Figure, Any]:
+def canvas(rows: int, columns: int = 1, width: float = 9.0, height: float = 3.0) -> Any:
+    """Return a figure ``width`` inches wide and its axes, ``(rows, columns)``."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(
-        rows, 1, figsize=(width, height * rows), squeeze=False, layout="constrained"
+        rows, columns, figsize=(width, height * rows), squeeze=False, layout="constrained"
     )
-    for axis in axes[:, 0]:
+    for axis in axes.flat:
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(color="#e6e8ea", linewidth=0.8)
         axis.set_axisbelow(True)
-    return figure, axes[:, 0]
+    return figure, axes
+
+
+def save(figure: Figure, file: Path) -> None:
+    """Write a figure, PNG or SVG, and let go of it."""
+    from matplotlib import pyplot
+
+    file.parent.mkdir(parents=True, exist_ok=True)
+    # Without the version of matplotlib in it, equal figures are equal files.
+    figure.savefig(file, dpi=130, metadata={"Software": None} if file.suffix == ".png" else None)
+    pyplot.close(figure)
 
 
 def _moving_mean(values: Sequence[float], window: int) -> tuple[Any, Any]:
@@ -106,16 +117,13 @@ def draw(
     parts = [part for part in (trained, walked) if part is not None and part.rows]
     if not parts:
         return False
-    figure, axes = _figure(2 * len(parts))
+    figure, grid = canvas(2 * len(parts))
+    axes = grid[:, 0]
     for n, part in enumerate(parts):
         pair = axes[2 * n : 2 * n + 2]
         if part is trained:
             training(pair, part.body_rows())
         else:
             walking(pair, part, ticks)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file, dpi=130)
-    from matplotlib import pyplot
-
-    pyplot.close(figure)
+    save(figure, file)
     return True

@@ -49,10 +49,14 @@ class Row(NamedTuple):
     """Mean reward a tick."""
     contact_share: float
     """Share of stance ticks with the foot on the ground."""
+    duty_factor: float
+    """Share of all ticks with the foot on the ground."""
     slip_m: float
     """Way the foot slid on the ground; for the body the mean over legs."""
     distance_m: float | None
     """Progress along the heading at the cycle's start; this and the rest for the body only."""
+    turn_rad: float | None
+    """Change of heading, to the left positive."""
     roll_sd_rad: float | None
     pitch_sd_rad: float | None
     tilt_max_rad: float | None
@@ -66,11 +70,11 @@ class Row(NamedTuple):
 class _Sums:
     """One leg's sums over a cycle."""
 
-    __slots__ = ("contact", "peak", "reward", "slip", "stance")
+    __slots__ = ("contact", "down", "peak", "reward", "slip", "stance")
 
     def __init__(self) -> None:
         self.peak = self.reward = self.slip = 0.0
-        self.contact = self.stance = 0
+        self.contact = self.down = self.stance = 0
 
 
 class Recorder:
@@ -94,6 +98,7 @@ class Recorder:
         self._legs = tuple(legs)
         self._ticks = params.gait.ticks
         self._gaits = [LegGait(params.gait, leg) for leg in legs]
+        self._lead = params.reward.lead
         self._rewarder = Rewarder(params)
         self._senses_hash, self._commands_hash = hashlib.sha256(), hashlib.sha256()
         self._senses, self._commands = bytearray(), bytearray()  # of this cycle, to be hashed
@@ -101,7 +106,7 @@ class Recorder:
         self._phase: Phase | None = None
         self._poses: list[BodyState] = []  # at the start of each tick of this cycle
         self._body = BodyState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
-        self._stances: list[bool] = []
+        self._stances: list[tuple[bool, bool]] = []  # of each leg: stance, and rewarded as stance
         self._first_fall: int | None = None
         self._absences = dict.fromkeys(legs, 0)
         self._folder = folder
@@ -139,7 +144,10 @@ class Recorder:
         self._poses.append(body)
         self.traces.extend((body.x, body.y, body.roll, body.pitch))
         self._phase = phase
-        self._stances = [gait.stance(phase) for gait in self._gaits]
+        lead = self._lead
+        self._stances = [
+            (gait.stance(phase), gait.rewarded_as_stance(phase, lead)) for gait in self._gaits
+        ]
 
     def finish(self, senses: Sequence[LegSense], body: BodyState) -> None:
         """Take the senses after the last tick, end the last cycle, and close the file."""
@@ -161,15 +169,17 @@ class Recorder:
         before, self._body = self._body, body
         if self._phase is None:
             return
-        for sense, sums, stance in zip(senses, self._sums, self._stances, strict=True):
+        for sense, sums, (stance, paid) in zip(senses, self._sums, self._stances, strict=True):
             sums.stance += stance
             if sense.restart:
                 continue
-            sums.reward += self._rewarder(sense, stance)
+            sums.reward += self._rewarder(sense, paid)
             sums.slip += sense.slip
             if sense.force_peak > sums.peak:
                 sums.peak = sense.force_peak
-            sums.contact += stance and sense.force_mean > 0.0
+            if sense.force_mean > 0.0:
+                sums.down += 1
+                sums.contact += stance
         if body.falls != before.falls and self._first_fall is None:
             self._first_fall = int(self._phase)
         if (senses[0].tick % self._ticks) == 0:
@@ -183,7 +193,8 @@ class Recorder:
         for leg, sums in zip(self._legs, self._sums, strict=True):
             share = sums.contact / sums.stance if sums.stance else 0.0
             reward = sums.reward / ticks
-            rows.append(Row(cycle, leg, sums.peak, reward, share, sums.slip, *[None] * 6))
+            duty = sums.down / ticks
+            rows.append(Row(cycle, leg, sums.peak, reward, share, duty, sums.slip, *[None] * 7))
         rolls, pitches = [p.roll for p in poses], [p.pitch for p in poses]
         rows.append(
             Row(
@@ -192,8 +203,10 @@ class Recorder:
                 max(row.peak_force_n for row in rows),
                 sum(row.reward for row in rows) / n,
                 sum(row.contact_share for row in rows) / n,
+                sum(row.duty_factor for row in rows) / n,
                 sum(row.slip_m for row in rows) / n,
                 (end.x - start.x) * math.cos(start.yaw) + (end.y - start.y) * math.sin(start.yaw),
+                math.remainder(end.yaw - start.yaw, math.tau),
                 statistics.pstdev(rolls),
                 statistics.pstdev(pitches),
                 max(map(abs, rolls + pitches)),

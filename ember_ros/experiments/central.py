@@ -1,0 +1,94 @@
+"""A central learner: one table over all legs, as far as such a table fits.
+
+The legs' own states side by side would be ``4352^4`` (3.6e14) and the joint actions ``9^4``
+(6561): 2.4e18 cells. What fits in memory is all joint actions over a coarse state: the tick of the
+cycle and which feet touch the ground, 32 x 2^4 states, 3.4 million cells. It is rewarded with the
+mean of the legs' rewards, and learns by the same rule, with the same numbers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ember_ros.loop import Loop, Observer
+from ember_ros.params import Params
+from ember_ros.plan import Plan
+from ember_ros.randomness import WORLD, generator
+from ember_ros.signals import LegSense, Phase
+from leg_node.gait import LegGait
+from leg_node.module import LegModule
+from leg_node.policy import epsilon_at
+from leg_node.reward import Rewarder
+from leg_node.table import Table
+
+DRAWER = WORLD + 1
+"""Spawn key of the central learner's random numbers."""
+
+
+class _Told:
+    """A policy that does as it is told."""
+
+    action = 0
+
+    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
+        """Return what was told."""
+        return self.action
+
+
+class CentralLoop(Loop):
+    """The loop, with one learner that tells all legs what to do."""
+
+    def __init__(self, plan: Plan) -> None:
+        """Build the robot of a plan; its table is not used."""
+        super().__init__(plan)
+        params: Params = plan.params
+        numbers = params.walk if plan.stage == "walk" else params.train
+        self._numbers, self._ticks = numbers, params.gait.ticks
+        self._speeds, self._lead = len(params.leg.knee_speeds), params.reward.lead
+        self._gaits = [LegGait(params.gait, leg) for leg in plan.legs]
+        self._rewarder = Rewarder(params)
+        self._rng = generator(plan.seed, DRAWER)
+        count = len(plan.legs)
+        self.joint = Table(self._ticks * 2**count, self._speeds**count)
+        self._told = [_Told() for _ in plan.legs]
+        self.legs = [
+            LegModule(params, leg, stage=plan.stage, policy=told, learning=False)
+            for leg, told in zip(plan.legs, self._told, strict=True)
+        ]
+        self._before: tuple[int, int, Phase] | None = None
+
+    def _state(self, senses: tuple[LegSense, ...]) -> int:
+        bits = sum(sense.contact << n for n, sense in enumerate(senses))
+        return (self.now % self._ticks << len(senses)) + bits
+
+    def _learn(self, senses: tuple[LegSense, ...], state: int) -> None:
+        if self._before is None or senses[0].restart:
+            return
+        was, did, phase = self._before
+        reward = sum(
+            self._rewarder(sense, gait.rewarded_as_stance(phase, self._lead))
+            for sense, gait in zip(senses, self._gaits, strict=True)
+        ) / len(senses)
+        actions = self.joint.actions
+        best = float(self.joint.values[state * actions : (state + 1) * actions].max())
+        target = reward + self._numbers.gamma * best
+        self.joint.update(was * actions + did, target, self._numbers.rate)
+
+    def _choose(self, state: int) -> int:
+        actions = self.joint.actions
+        if self._rng.random() < epsilon_at(self._numbers, self.now // self._ticks):
+            return int(self._rng.integers(actions))
+        row = self.joint.values[state * actions : (state + 1) * actions]
+        ties = np.flatnonzero(row == row.max())
+        return int(ties[self._rng.integers(len(ties))])
+
+    def tick(self, *observers: Observer) -> None:
+        """Decide for all legs at once, then run one tick of the whole machine."""
+        senses = self.world.observe()
+        state = self._state(senses)
+        self._learn(senses, state)
+        joint = self._choose(state)
+        self._before = (state, joint, self.cpg.phase(self.now * self._tick_ns))
+        for told in self._told:
+            joint, told.action = divmod(joint, self._speeds)
+        super().tick(*observers)

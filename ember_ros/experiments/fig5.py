@@ -1,0 +1,160 @@
+"""Figure 5: one leg learns on the trainer, the stop fixed or modulated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ember_ros.experiments import stats
+from ember_ros.experiments.study import (
+    LEARNERS,
+    Arm,
+    Found,
+    Size,
+    Study,
+    column,
+    grid,
+    numbers,
+    runs_of,
+    spread,
+    told,
+)
+from ember_ros.experiments.trial import Outcome, Trial
+from ember_ros.report.figures import AMBER, BLUE, INK, canvas, save
+
+HEIGHTS = ("fixed", "modulated")
+BINS = 120
+"""Points of a curve."""
+MEAN = 200
+"""Steps that are averaged where it is asked when a curve settles."""
+SETTLED = 0.9
+"""A curve has settled where it has gone this share of its way, from its first mean to its last."""
+QUANTITIES = {"distance_m": "distance a step, m", "peak_force_n": "peak force a step, N"}
+
+
+def height_arm(learner: str, height: str, seeds: range, train: int) -> Arm:
+    """Return legs that are trained in one way."""
+    return Arm(
+        {"learner": learner, "height": height},
+        [Trial("trainer", train, seed, with_height(learner, height)) for seed in seeds],
+    )
+
+
+def with_height(learner: str, height: str) -> Any:
+    """Return the parameters of a trainer whose stop is ``fixed`` or ``modulated``."""
+    return numbers(learner, "modulated" if height == "modulated" else "reference")
+
+
+def arms(size: Size) -> list[Arm]:
+    """Return all ways of training."""
+    seeds = range(size.seeds)
+    return [height_arm(lr, height, seeds, size.train) for lr in LEARNERS for height in HEIGHTS]
+
+
+def settles(values: NDArray[np.float64]) -> int:
+    """Return the step at which the moving mean has first gone ``SETTLED`` of its way."""
+    window = max(1, min(MEAN, len(values) // 5))
+    mean = np.convolve(values, np.ones(window) / window, mode="valid")
+    way = mean[-1] - mean[0]
+    if way == 0.0:
+        return window
+    return int(np.argmax((mean - mean[0]) / way >= SETTLED)) + window
+
+
+def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
+    """Return, for each arm, median and quartiles of each quantity, and when each seed settles."""
+    found: dict[str, Any] = {}
+    for arm, outcomes in known:
+        for name in QUANTITIES:
+            each = np.array([outcome.cycles[name] for outcome in outcomes])
+            parts = np.array_split(each, min(BINS, each.shape[1]), axis=1)
+            means = np.stack([part.mean(axis=1) for part in parts], axis=1)
+            ends = np.cumsum([part.shape[1] for part in parts])
+            low, middle, high = np.percentile(means, (25, 50, 75), axis=0)
+            found["/".join((*arm.labels.values(), name))] = {
+                "steps": ends.tolist(),
+                "low": low.round(5).tolist(),
+                "median": middle.round(5).tolist(),
+                "high": high.round(5).tolist(),
+                "settles": [settles(values) for values in each],
+            }
+    return found
+
+
+def text(found: Found) -> list[str]:
+    """Say what came of it."""
+    lines, claims = [], []
+    for learner in LEARNERS:
+        for height in HEIGHTS:
+            runs = runs_of(found, learner=learner, height=height)
+            curve = {n: found["curves"][f"{learner}/{height}/{n}"] for n in QUANTITIES}
+            lines.append(
+                (
+                    learner,
+                    height,
+                    spread(column(runs, "distance_last_m")),
+                    spread(curve["distance_m"]["settles"], ".0f"),
+                    spread(column(runs, "peak_force_n"), ".0f"),
+                    spread(curve["peak_force_n"]["settles"], ".0f"),
+                )
+            )
+        settled = [found["curves"][f"{learner}/{h}/distance_m"]["settles"] for h in HEIGHTS]
+        slower = stats.difference(settled[1], settled[0])
+        both = [
+            column(runs_of(found, learner=learner, height=h), "distance_last_m") for h in HEIGHTS
+        ]
+        shorter = stats.difference(both[1], both[0])
+        claims.append(
+            f"- `{learner}`: with modulated height learning is slower: "
+            f"**{stats.verdict(slower, claimed=1)}** (the distance settles {told(slower, '.0f')} "
+            f"steps later); and steps are shorter after learning: "
+            f"**{stats.verdict(shorter, claimed=-1)}** ({told(shorter)} m)."
+        )
+    heads = (
+        "learner", "stop", "distance a step at the end, m", "settles at step",
+        "peak force at the end, N", "settles at step",
+    )  # fmt: skip
+    return [
+        *grid(heads, lines),
+        "",
+        "Medians over seeds with quartiles; at the end: the last 500 steps. A curve settles where "
+        f"its mean over {MEAN} steps has first gone {SETTLED:.0%} of its way.",
+        "",
+        *claims,
+    ]
+
+
+def draw(found: Found, file: Path) -> None:
+    """Draw both quantities against steps, a column a way of training the stop."""
+    figure, axes = canvas(2, 2, height=3.2)
+    for across, height in enumerate(HEIGHTS):
+        for down, (name, label) in enumerate(QUANTITIES.items()):
+            axis = axes[down, across]
+            for learner, colour in zip(LEARNERS, (AMBER, BLUE), strict=True):
+                curve = found["curves"][f"{learner}/{height}/{name}"]
+                axis.fill_between(
+                    curve["steps"], curve["low"], curve["high"], color=colour, alpha=0.25, lw=0
+                )
+                axis.plot(curve["steps"], curve["median"], color=colour, lw=1.6, label=learner)
+            axis.sharey(axes[down, 0])
+            axis.set_ylabel(label)
+        axes[0, across].set_title(f"The stop is {height}", loc="left", color=INK)
+        axes[1, across].set_xlabel("steps")
+    axes[0, 0].legend(frameon=False)
+    save(figure, file)
+
+
+STUDY = Study(
+    "fig5",
+    "Figure 5: one leg on the trainer",
+    "in 6000 steps the distance a step rises and evens out and the peak force falls; with the "
+    "support height modulated (by up to 10 %) learning is a little slower and the average step "
+    "after learning not so long.",
+    arms,
+    text,
+    draw,
+    curves,
+)

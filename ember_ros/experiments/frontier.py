@@ -1,0 +1,217 @@
+"""The frontier: how narrow a body can legs of each kind carry?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ember_ros.experiments import plots, stats
+from ember_ros.experiments.learners import changes
+from ember_ros.experiments.plots import COLOURS
+from ember_ros.experiments.study import (
+    WALKERS_NOTE,
+    Arm,
+    Found,
+    Size,
+    Study,
+    column,
+    company,
+    falls_per_1000,
+    falls_rates,
+    grid,
+    never_fell,
+    runs_of,
+    told,
+    trained,
+    trained_arm,
+    walkers,
+    walks,
+)
+from ember_ros.experiments.trial import Outcome
+from ember_ros.report.figures import GREY, canvas, save
+
+BODIES = ("short", "narrow")
+BEFORE = "ember without lead and explore"
+WIDTHS = (0.22, 0.14, 0.12, 0.10, 0.08)
+"""Half widths of the hips in a body of the reference's length, m."""
+KINDS = ("scripted knee", "trained, ember", f"trained, {BEFORE}", "trained, plain")
+
+
+FEET = ("scripted knee", "ember", BEFORE, "plain")
+MOMENTS = (
+    ("last 2 ticks of swing", (30, 31)),
+    ("first tick of stance", (0,)),
+    ("ticks 2 to 5 of stance", (1, 2, 3, 4)),
+    ("middle of stance", (10, 11, 12, 13)),
+)
+"""Ticks of a leg's own cycle of 32, 24 of them stance."""
+
+
+def arms(size: Size) -> list[Arm]:
+    """Return walkers before and after in the frontier bodies, and in ever narrower ones."""
+    found = []
+    seeds = range(size.seeds)
+    before = changes("plain", ("lead", "explore"))
+    for body in BODIES:
+        found += [trained_arm(body, "plain", size)]
+        starts = [trained("ember", size, seed, **before) for seed in seeds]
+        walked = walks("ember", body, size.brief, seeds, starts, **before)
+        found.append(Arm({"body": body, "walker": "trained table", "learner": BEFORE}, walked))
+        found += [trained_arm(body, "ember", size), *company(body, size)]
+    some = range(size.few)
+    for width in WIDTHS:
+        for kind in KINDS:
+            learner = "plain" if kind.endswith("plain") else "ember"
+            other = before if kind.endswith(BEFORE) else {}
+            if kind == "scripted knee":
+                trials = walks(
+                    learner,
+                    "reference",
+                    size.brief,
+                    range(1),
+                    policy="scripted",
+                    learning=False,
+                    walker__hip_half_width=width,
+                )
+            else:
+                starts = [trained(learner, size, seed, **other) for seed in some]
+                trials = walks(
+                    learner,
+                    "reference",
+                    size.brief,
+                    some,
+                    starts,
+                    walker__hip_half_width=width,
+                    **other,
+                )
+            found.append(Arm({"width": f"{width:g}", "kind": kind}, trials))
+    return found
+
+
+def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
+    """Return when feet are on the ground, for each kind of walker in each body."""
+    found: dict[str, Any] = {}
+    for arm, outcomes in known:
+        walker = arm.labels.get("walker", "")
+        if walker in ("trained table", "scripted knee"):
+            name = arm.labels["learner"] if walker == "trained table" else walker
+            mean = np.mean([outcome.footfall for outcome in outcomes], axis=0)
+            found[f"{arm.labels['body']}/{name}"] = mean.round(4).tolist()
+    return found
+
+
+def text(found: Found) -> list[str]:
+    """Say what came of it."""
+    lines, aims = [], []
+    for body in BODIES:
+        before, after = (
+            runs_of(found, body=body, walker="trained table", learner=learner)
+            for learner in (BEFORE, "ember")
+        )
+        fewer = stats.difference(falls_rates(before), falls_rates(after))
+        rate = falls_per_1000(after)
+        aims.append(
+            f"- {body}: **{falls_per_1000(before):.2f}** falls per 1000 cycles before, "
+            f"**{rate:.2f}** after ({told(fewer, '.2f')} fewer); the aim of at most 1 is "
+            f"{'reached' if rate <= 1.0 else 'missed'}, and {never_fell(after)} never fell."
+        )
+    for width in WIDTHS:
+        cells = [f"{width:g}"]
+        for kind in KINDS:
+            runs = runs_of(found, width=f"{width:g}", kind=kind)
+            cells.append(f"{falls_per_1000(runs):.1f}")
+            cells.append(f"{sum(column(runs, 'distance_m')) / len(runs):.3f}")
+        lines.append(cells)
+    return [
+        "Why narrow bodies fall: feet that come down late. The swing reward pays for being off the "
+        "ground and punishes contact up to its last tick, so a learnt knee is still bent when its "
+        "stance begins, and until it is down the body rests on the other diagonal alone. A knee "
+        "written by hand puts its foot down before stance, and does not fall. Share of feet on the "
+        "ground, of all legs and cycles:",
+        "",
+        *grid(
+            ("body", "walker", *(f"{head}" for head, _ in MOMENTS)),
+            [
+                (
+                    body,
+                    name,
+                    *(
+                        f"{np.mean([found['curves'][f'{body}/{name}'][n] for n in ticks]):.0%}"
+                        for _, ticks in MOMENTS
+                    ),
+                )
+                for body in BODIES
+                for name in FEET
+            ],
+        ),
+        "",
+        "What a leg can sense of this by itself is its own height and its contact at the end of "
+        "swing, and it knows the phase: with `reward.lead` the last ticks before stance are "
+        "rewarded as stance is. The state is not changed: 17 x 8 x 8 x 2 x 2. Such a reward is "
+        "harder to find, and needs more exploration on the trainer (`train.epsilon_start`): the "
+        "table of the learners tells what each of the two does without the other.",
+        "",
+        f"Before: {BEFORE}; after: `ember`.",
+        "",
+        *aims,
+        "",
+        *walkers([arm for arm in found["arms"] if "body" in arm["labels"]]),
+        "",
+        WALKERS_NOTE,
+        "",
+        "Ever narrower hips in a body of 1.2 m; falls per 1000 cycles, and distance a cycle, m:",
+        "",
+        *grid(
+            (
+                "half width, m",
+                *(f"{head}, {kind}" for kind in KINDS for head in ("falls", "distance")),
+            ),
+            lines,
+        ),
+    ]
+
+
+def draw(found: Found, file: Path) -> None:
+    """Draw falls and distance against the width of the hips."""
+    figure, axes = canvas(1, 3, width=14.0, height=3.6)
+    for n, kind in enumerate(KINDS):
+        for axis, name in zip(axes[0], (plots.FALLS, plots.WAY), strict=False):
+            each = []
+            for width in WIDTHS:
+                runs = runs_of(found, width=f"{width:g}", kind=kind)
+                each.append(
+                    falls_rates(runs) if name == plots.FALLS else column(runs, "distance_m")
+                )
+            means = [sum(values) / len(values) for values in each]
+            axis.plot(WIDTHS, means, "-", color=COLOURS[n], lw=1.6, label=kind)
+            for width, values in zip(WIDTHS, each, strict=True):
+                at = [width] * len(values)
+                axis.plot(at, values, "o", color=COLOURS[n], ms=3.5, alpha=0.5)
+            axis.set_ylabel(name)
+            axis.set_xlabel("half width of the hips, m")
+    axes[0, 0].set_yscale("symlog", linthresh=1.0)
+    axes[0, 0].set_ylim(bottom=-0.2)
+    axes[0, 1].legend(frameon=False, fontsize=8)
+    axis = axes[0, 2]
+    for name, colour in zip(FEET, COLOURS, strict=False):
+        share = found["curves"][f"narrow/{name}"]
+        half = len(share) // 2
+        axis.plot(range(-half, half), [*share[half:], *share[:half]], color=colour, lw=1.6)
+    axis.axvspan(-8, 0, color=GREY, alpha=0.15, lw=0)
+    axis.set_xlabel("tick of the leg's cycle; grey: swing")
+    axis.set_ylabel("share of feet down, narrow body")
+    save(figure, file)
+
+
+STUDY = Study(
+    "frontier",
+    "The frontier: narrow bodies",
+    "often this instability is too great to be overcome simply by further learning (section VIII); "
+    "it expects much of a stance that begins when the foot feels the ground.",
+    arms,
+    text,
+    draw,
+    curves,
+)

@@ -1,0 +1,171 @@
+"""What `ember` adds to `plain`, each part alone and each part left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ember_ros.experiments import plots, stats
+from ember_ros.experiments.study import (
+    WALKERS_NOTE,
+    Arm,
+    Found,
+    Size,
+    Study,
+    column,
+    company,
+    falls_rates,
+    grid,
+    numbers,
+    runs_of,
+    told,
+    trained,
+    walkers,
+    walks,
+)
+from ember_ros.params import as_dict
+from ember_ros.report.figures import INK, canvas, save
+
+BODIES = ("reference", "narrow")
+PARTS: dict[str, tuple[str, ...]] = {
+    "counts": ("alpha_floor", "alpha_ceiling"),
+    "prior": ("prior",),
+    "smooth": ("smooth",),
+    "gamma": ("gamma",),
+    "explore": ("epsilon_start", "epsilon_end"),
+    "lead": ("reward.lead",),
+}
+"""Names of a stage's numbers, or of one number, that belong to each part."""
+MEANING = {
+    "counts": "rates of 1/visits down to a floor, from true visit counts",
+    "prior": "an untried action is a little worse than its state, not 0",
+    "smooth": "neighbouring states and actions have a say",
+    "gamma": "a leg looks further ahead",
+    "explore": "on the trainer random actions at first, on the body none",
+    "lead": "the last ticks of swing are rewarded as stance is",
+}
+
+
+def changes(learner: str, parts: tuple[str, ...]) -> dict[str, Any]:
+    """Return a learner's numbers of some parts, by full name."""
+    every = as_dict(numbers(learner))
+    found: dict[str, Any] = {}
+    for part in parts:
+        for name in PARTS[part]:
+            if "." in name:
+                group, each = name.split(".")
+                found[f"{group}__{each}"] = every[group][each]
+            else:
+                found |= {f"{stage}__{name}": every[stage][name] for stage in ("train", "walk")}
+    return found
+
+
+def variants() -> dict[str, tuple[str, dict[str, Any]]]:
+    """Return name, learner to start from, and what is changed."""
+    found: dict[str, tuple[str, dict[str, Any]]] = {"plain": ("plain", {})}
+    found |= {f"plain + {part}": ("plain", changes("ember", (part,))) for part in PARTS}
+    found |= {f"ember - {part}": ("ember", changes("plain", (part,))) for part in PARTS}
+    return found | {"ember": ("ember", {})}
+
+
+def arms(size: Size) -> list[Arm]:
+    """Return walkers of every variant, and who walks beside them."""
+    found = []
+    seeds = range(size.few)
+    for body in BODIES:
+        for name, (learner, other) in variants().items():
+            starts = [trained(learner, size, seed, **other) for seed in seeds]
+            found.append(
+                Arm(
+                    {"body": body, "walker": "trained table", "learner": name},
+                    walks(learner, body, size.brief, seeds, starts, **other),
+                )
+            )
+        found += [
+            Arm(arm.labels | {"learner": f"empty, {arm.labels['learner']}"}, arm.trials)
+            for arm in company(body, size._replace(seeds=size.few))
+        ]
+    return found
+
+
+def text(found: Found) -> list[str]:
+    """Say what came of it."""
+    both = {learner: as_dict(numbers(learner)) for learner in ("plain", "ember")}
+    switches, lines = [], []
+    for part, names in PARTS.items():
+        for name in names:
+            for full in [name] if "." in name else [f"{s}.{name}" for s in ("train", "walk")]:
+                group, each = full.split(".")
+                values = [str(both[learner][group][each]) for learner in ("plain", "ember")]
+                if values[0] != values[1]:
+                    switches.append((part, f"`{full}`", *values, MEANING[part]))
+    for body in BODIES:
+        whole, none = (runs_of(found, body=body, learner=learner) for learner in ("ember", "plain"))
+        for part in PARTS:
+            alone = runs_of(found, body=body, learner=f"plain + {part}")
+            left = runs_of(found, body=body, learner=f"ember - {part}")
+            lines.append(
+                (
+                    body,
+                    part,
+                    told(stats.difference(falls_rates(alone), falls_rates(none)), ".1f"),
+                    told(stats.difference(column(alone, "distance_m"), column(none, "distance_m"))),
+                    told(stats.difference(falls_rates(left), falls_rates(whole)), ".1f"),
+                    told(stats.difference(column(left, "distance_m"), column(whole, "distance_m"))),
+                )
+            )
+    return [
+        "`plain` is the paper's learner (`--params plain`); `ember` the default. They differ in:",
+        "",
+        *grid(("part", "parameter", "plain", "ember", "meaning"), switches),
+        "",
+        "What a part does, seed by seed: added to `plain` alone, and left out of `ember`:",
+        "",
+        *grid(
+            (
+                "body",
+                "part",
+                "alone: falls per 1000",
+                "alone: distance, m",
+                "left out: falls per 1000",
+                "left out: distance, m",
+            ),
+            lines,
+        ),
+        "",
+        *walkers(found["arms"]),
+        "",
+        WALKERS_NOTE,
+    ]
+
+
+def draw(found: Found, file: Path) -> None:
+    """Draw falls and distance of every variant."""
+    names = list(variants())
+    figure, axes = canvas(2, 2, width=12.0, height=3.2)
+    for across, body in enumerate(BODIES):
+        for down, label in enumerate((plots.FALLS, plots.WAY)):
+            groups = {}
+            for name in names:
+                runs = runs_of(found, body=body, learner=name)
+                values = falls_rates(runs) if down == 0 else column(runs, "distance_m")
+                groups[name.replace(" ", "\n")] = {"": values}
+            axis = axes[down, across]
+            plots.strips(axis, groups, label)
+            axis.tick_params(axis="x", labelsize=7)
+            if down == 0:
+                axis.set_yscale("symlog", linthresh=1.0)
+                axis.set_ylim(bottom=-0.2)
+                axis.set_title(f"{body} body", loc="left", color=INK)
+    save(figure, file)
+
+
+STUDY = Study(
+    "learners",
+    "The learners: what each part is worth",
+    "has one-step Q-learning alone; that similar local states want similar local actions is its "
+    "principle (section V), used only in that legs share a table.",
+    arms,
+    text,
+    draw,
+)

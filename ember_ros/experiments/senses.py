@@ -1,0 +1,176 @@
+"""What each sense is worth, and what a walker meets that a trainer never sees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ember_ros.experiments import plots, stats
+from ember_ros.experiments.fig5 import HEIGHTS, height_arm
+from ember_ros.experiments.study import (
+    LEARNERS,
+    WALKERS_NOTE,
+    Arm,
+    Found,
+    Size,
+    Study,
+    column,
+    company,
+    falls_rates,
+    grid,
+    runs_of,
+    spread,
+    told,
+    trained,
+    walkers,
+    walks,
+)
+from ember_ros.report.figures import canvas, save
+
+BODIES = ("reference",)
+FAR = 3.2
+"""An edge that no angle passes: all are in one bin."""
+WITHOUT: dict[str, dict[str, Any]] = {
+    "all senses": {},
+    "without hair": {"leg__hair_length": 1.0},  # it always touches
+    "without force": {"state__force_edges": (1e6,)},  # no load passes it
+    "without inclination": {"state__inclination_edges": (FAR,)},
+}
+"""A sense is left out by letting it always read the same."""
+
+
+def arms(size: Size) -> list[Arm]:
+    """Return walkers that lack a sense, trainers, and who walks beside them."""
+    found = []
+    seeds = range(size.seeds)
+    for body in BODIES:
+        for name, changes in WITHOUT.items():
+            starts = [trained("ember", size, seed, **changes) for seed in seeds]
+            found.append(
+                Arm(
+                    {"body": body, "walker": f"trained, {name}", "learner": "ember"},
+                    walks("ember", body, size.brief, seeds, starts, **changes),
+                )
+            )
+        found += company(body, size)
+    for learner in LEARNERS:
+        for height in HEIGHTS:
+            trainers = height_arm(learner, height, seeds, size.train)
+            found.append(Arm({"coverage": "trainer", **trainers.labels}, trainers.trials))
+            for body in BODIES:
+                found.append(
+                    Arm(
+                        {"coverage": body, **trainers.labels},
+                        walks(learner, body, size.brief, seeds, trainers.trials),
+                    )
+                )
+    return found
+
+
+def text(found: Found) -> list[str]:
+    """Say what came of it."""
+    lines, coverage = [], []
+    for body in BODIES:
+        whole = runs_of(found, body=body, walker="trained, all senses")
+        for name in list(WITHOUT)[1:]:
+            less = runs_of(found, body=body, walker=f"trained, {name}")
+            reward = stats.difference(column(whole, "reward"), column(less, "reward"))
+            falls = stats.difference(falls_rates(less), falls_rates(whole))
+            lines.append(
+                (
+                    body,
+                    name,
+                    told(reward),
+                    stats.verdict(reward, claimed=1),
+                    told(falls, ".2f"),
+                    stats.verdict(falls, claimed=1),
+                )
+            )
+    for learner in LEARNERS:
+        for height in HEIGHTS:
+            trainer = runs_of(found, coverage="trainer", learner=learner, height=height)
+            cells = [learner, height, spread(column(trainer, "states_visited"), ".0f")]
+            for body in BODIES:
+                runs = runs_of(found, coverage=body, learner=learner, height=height)
+                cells.append(spread(column(runs, "states_visited"), ".0f"))
+                cells.append(spread([100 * v for v in column(runs, "unseen_share")], ".2f"))
+            coverage.append(cells)
+    return [
+        "Trained and walked without one sense, seed by seed against all senses:",
+        "",
+        *grid(
+            (
+                "body",
+                "left out",
+                "reward a tick lost",
+                "the sense is of use",
+                "falls per 1000 more",
+                "the sense is of use",
+            ),
+            lines,
+        ),
+        "",
+        *walkers([arm for arm in found["arms"] if "body" in arm["labels"]]),
+        "",
+        WALKERS_NOTE,
+        "",
+        "What a walker meets that its trainer never saw; of 4352 states:",
+        "",
+        *grid(
+            (
+                "learner",
+                "stop",
+                "states the trainer was in",
+                *(
+                    head
+                    for body in BODIES
+                    for head in (
+                        f"states a walker was in, {body}",
+                        f"its decisions in states new to it, {body}, %",
+                    )
+                ),
+            ),
+            coverage,
+        ),
+    ]
+
+
+def draw(found: Found, file: Path) -> None:
+    """Draw reward and falls without each sense, and the share of what is new."""
+    reward: dict[str, dict[str, list[float]]] = {}
+    falls: dict[str, dict[str, list[float]]] = {}
+    unseen: dict[str, dict[str, list[float]]] = {}
+    for body in BODIES:
+        for name in WITHOUT:
+            runs = runs_of(found, body=body, walker=f"trained, {name}")
+            reward.setdefault(body, {})[name] = column(runs, "reward")
+            falls.setdefault(body, {})[name] = falls_rates(runs)
+    for learner in LEARNERS:
+        for height in HEIGHTS:
+            for body in BODIES:
+                runs = runs_of(found, coverage=body, learner=learner, height=height)
+                group = unseen.setdefault(f"{learner},\n{height} stop", {})
+                group[body] = [100 * value for value in column(runs, "unseen_share")]
+    figure, axes = canvas(3, 1, height=2.7)
+    for axis, groups, label in zip(
+        axes[:, 0],
+        (reward, falls, unseen),
+        ("reward a tick", plots.FALLS, "new states, % of decisions"),
+        strict=True,
+    ):
+        plots.strips(axis, groups, label)
+        axis.legend(frameon=False, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    axes[1, 0].set_yscale("symlog", linthresh=1.0)
+    axes[1, 0].get_legend().remove()
+    save(figure, file)
+
+
+STUDY = Study(
+    "senses",
+    "The senses",
+    "17 x 8 x 8 partitions of hip, force and inclination with bits for stance and hair were chosen "
+    "by trial; the hair tells what the others do not.",
+    arms,
+    text,
+    draw,
+)

@@ -1,0 +1,146 @@
+"""How sensitive the walker is to its mechanics: one number at a time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ember_ros.experiments import stats
+from ember_ros.experiments.study import (
+    Arm,
+    Found,
+    Size,
+    Study,
+    column,
+    falls_per_1000,
+    falls_rates,
+    grid,
+    never_fell,
+    runs_of,
+    spread,
+    trained,
+    walks,
+)
+from ember_ros.report.figures import BLUE, INK, canvas, save
+
+
+class Sweep(NamedTuple):
+    """One number and the values it takes."""
+
+    name: str
+    """The parameter, with ``__`` for the dot."""
+    label: str
+    values: tuple[float, ...]
+    trains: bool = False
+    """Whether legs are trained with it too; the body's numbers are none of the trainer's."""
+
+
+SWEEPS = (
+    Sweep("walker__twist_amplitude", "twist, rad", (0.0, 0.025, 0.05, 0.10, 0.15)),
+    Sweep("walker__twist_phase", "phase of the twist, cycles", (0.125, 0.375, 0.625, 0.875)),
+    Sweep("leg__operating_height", "operating height, m", (0.42, 0.44, 0.45, 0.46), True),
+    Sweep("trainer__stop_height", "trainer's stop, m", (0.40, 0.41, 0.42, 0.43, 0.44), True),
+    Sweep("gait__stance_share", "share of stance", (19 / 32, 22 / 32, 24 / 32), True),
+    Sweep("physics__friction", "friction", (0.4, 0.7, 1.0, 1.5), True),
+    Sweep("walker__hip_half_width", "half width of the hips, m", (0.10, 0.14, 0.22, 0.35)),
+    Sweep("walker__length", "length of the body, m", (0.6, 0.8, 1.2, 1.5)),
+)
+POLICIES = ("trained", "scripted")
+
+
+def arms(size: Size) -> list[Arm]:
+    """Return walkers of every value, and the scripted knee in the same mechanics."""
+    found = []
+    seeds = range(min(3, size.seeds))
+    for sweep in SWEEPS:
+        for value in sweep.values:
+            changes: dict[str, Any] = {sweep.name: value}
+            on_trainer = changes if sweep.trains else {}
+            starts = [trained("ember", size, seed, **on_trainer) for seed in seeds]
+            labels = {"sweep": sweep.name.replace("__", "."), "value": repr(value)}
+            walked = walks("ember", "reference", size.brief, seeds, starts, **changes)
+            found.append(Arm({**labels, "walker": "trained"}, walked))
+            by_hand = walks(
+                "ember",
+                "reference",
+                size.brief,
+                range(1),
+                policy="scripted",
+                learning=False,
+                **changes,
+            )
+            found.append(Arm({**labels, "walker": "scripted"}, by_hand))
+    return found
+
+
+def text(found: Found) -> list[str]:
+    """Say what came of it."""
+    lines = []
+    for sweep in SWEEPS:
+        name = sweep.name.replace("__", ".")
+        for value in sweep.values:
+            cells = [f"`{name}`", f"{value:g}"]
+            for walker in POLICIES:
+                runs = runs_of(found, sweep=name, value=repr(value), walker=walker)
+                cells += [
+                    never_fell(runs),
+                    f"{falls_per_1000(runs):.1f}",
+                    f"{100 * stats.quartiles(column(runs, 'outside'))[1]:.1f} %",
+                    spread(column(runs, "distance_m")),
+                    spread(column(runs, "roll_sd_rad")),
+                ]
+            lines.append(cells)
+    heads = ["parameter", "value"] + [
+        f"{head}, {walker}"
+        for walker in POLICIES
+        for head in ("never fell", "falls per 1000", "outside", "distance, m", "SD of roll, rad")
+    ]
+    return [
+        "`ember`, the reference body, one number changed at a time. Where it is the leg's or the "
+        "ground's, legs are trained with it; where it is the body's, they are the same legs.",
+        "",
+        *grid(heads, lines),
+        "",
+        "3 to 1 is 24/32 = 0.75 of stance; 19/32 = 0.59 is the nearest to 3 to 2.",
+    ]
+
+
+def draw(found: Found, file: Path) -> None:
+    """Draw a panel a number: falls and distance, trained and by hand."""
+    figure, axes = canvas(4, 4, width=14.0, height=2.4)
+    for n, sweep in enumerate(SWEEPS):
+        name = sweep.name.replace("__", ".")
+        above, below = axes[2 * (n // 4), n % 4], axes[2 * (n // 4) + 1, n % 4]
+        for walker, colour in zip(POLICIES, (BLUE, INK), strict=True):
+            runs = [
+                runs_of(found, sweep=name, value=repr(value), walker=walker)
+                for value in sweep.values
+            ]
+            style = "-" if walker == "trained" else "--"
+            for axis, each in (
+                (above, [falls_rates(r) for r in runs]),
+                (below, [column(r, "distance_m") for r in runs]),
+            ):
+                middle = [stats.quartiles(values)[1] for values in each]
+                axis.plot(sweep.values, middle, style, color=colour, lw=1.5, label=walker)
+                for value, values in zip(sweep.values, each, strict=True):
+                    axis.plot([value] * len(values), values, "o", color=colour, ms=3, alpha=0.5)
+        above.set_yscale("symlog", linthresh=1.0)
+        above.set_ylim(bottom=-0.2)
+        below.set_ylim(bottom=0.0)
+        below.set_xlabel(sweep.label)
+        above.set_ylabel("falls per 1000")
+        below.set_ylabel("distance, m")
+    axes[0, 0].legend(frameon=False)
+    save(figure, file)
+
+
+STUDY = Study(
+    "sensitivity",
+    "Sensitivity to the mechanics",
+    "the system is quite sensitive to some parameters and dimensions (section IV); twist can be "
+    "adjusted in phase and amplitude; a support ratio of 3:2 would be more dynamic than 3:1.",
+    arms,
+    text,
+    draw,
+)

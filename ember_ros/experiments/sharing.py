@@ -1,0 +1,186 @@
+"""One table for all legs against one for each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ember_ros.experiments import plots, stats
+from ember_ros.experiments.study import (
+    BODIES,
+    LEARNERS,
+    WALKERS_NOTE,
+    Arm,
+    Found,
+    Size,
+    Study,
+    company,
+    falls_rates,
+    grid,
+    runs_of,
+    spread,
+    told,
+    trained_arm,
+    walkers,
+    walks,
+)
+from ember_ros.experiments.trial import Outcome
+
+NEVER = 1_000_000
+"""Ticks between syncs that never come: every leg learns on its own copy."""
+TABLES = ("empty table", "private tables")
+PAPER = 4.0
+"""Times as quickly, says the paper."""
+MEAN = 25
+"""Cycles that are averaged where it is asked when a reward is reached."""
+
+
+def arms(size: Size) -> list[Arm]:
+    """Return legs that know nothing, with one table and with four, and who walks beside them."""
+    found = []
+    for body in BODIES:
+        found += company(body, size)
+        for learner in LEARNERS:
+            found.append(trained_arm(body, learner, size))
+            found.append(
+                Arm(
+                    {"body": body, "walker": "private tables", "learner": learner},
+                    walks(learner, body, size.brief, range(size.seeds), walk__sync_every=NEVER),
+                )
+            )
+    return found
+
+
+def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
+    """Return the reward that is to be reached, and when each walker reaches it."""
+    reward = {
+        tuple(arm.labels.values()): np.array([outcome.cycles["reward"] for outcome in outcomes])
+        for arm, outcomes in known
+    }
+    found: dict[str, Any] = {}
+    for body in BODIES:
+        for learner in LEARNERS:
+            low = float(reward[body, "random knee", "-"].mean())
+            high = float(reward[body, "trained table", learner].mean())
+            level = (low + high) / 2
+            found[f"{body}/{learner}/level"] = level
+            for tables in TABLES:
+                found[f"{body}/{learner}/{tables}"] = [
+                    reached(values, level) for values in reward[body, tables, learner]
+                ]
+    return found
+
+
+def reached(values: Any, level: float) -> int | None:
+    """Return the cycles until the moving mean has reached a level, or None."""
+    window = min(MEAN, len(values))
+    over = np.convolve(values, np.ones(window) / window, mode="valid") >= level
+    return int(np.argmax(over)) + window if over.any() else None
+
+
+def text(found: Found) -> list[str]:
+    """Say what came of it."""
+    lines, claims = [], []
+    budget = found["arms"][0]["runs"][0]["cycles"]
+    for body in BODIES:
+        for learner in LEARNERS:
+            key = f"{body}/{learner}"
+            times = [found["curves"][f"{key}/{tables}"] for tables in TABLES]
+            known = [[budget if t is None else t for t in each] for each in times]
+            sooner = stats.difference(known[1], known[0])
+            ratio = [private / shared for shared, private in zip(*known, strict=True)]
+            late = sum(t is None for t in times[1])
+            one, four = (
+                runs_of(found, body=body, walker=tables, learner=learner) for tables in TABLES
+            )
+            falls = stats.difference(falls_rates(four), falls_rates(one))
+            differ = [run["legs_differ"] for run in four if run["legs_differ"] is not None]
+            lines.append(
+                (
+                    body,
+                    learner,
+                    f"{found['curves'][f'{key}/level']:.2f}",
+                    spread(known[0], ".0f"),
+                    spread(known[1], ".0f") + (f"; {late} never" if late else ""),
+                    spread(ratio, ".1f"),
+                    stats.verdict(sooner, claimed=1),
+                    told(falls, ".1f"),
+                    stats.verdict(falls, claimed=1),
+                    spread(differ, ".0%") if differ else "-",
+                )
+            )
+            times_as = stats.interval(ratio)
+            four_times = (
+                "unclear"
+                if times_as.low <= PAPER <= times_as.high
+                else "fails"
+                if times_as.high < PAPER
+                else "holds, and more"
+            )
+            claims.append(
+                f"- {body}, `{learner}`: that one table learns four times as quickly: "
+                f"**{four_times}** ({times_as.mean:.1f} times [{times_as.low:.1f}, "
+                f"{times_as.high:.1f}]{', at least: some never got there' if late else ''})."
+            )
+    return [
+        "Legs that know nothing, on the body, with one table and with one each:",
+        "",
+        *grid(
+            (
+                "body",
+                "learner",
+                "reward to reach",
+                "cycles, shared",
+                "cycles, private",
+                "times as quickly",
+                "sharing is quicker",
+                "falls per 1000 more with private tables",
+                "sharing saves falls",
+                "private legs differ in their best action",
+            ),
+            lines,
+        ),
+        "",
+        "The reward to reach lies half way between the random knee's and that of a walker with "
+        f"trained legs; reached is a mean over {MEAN} cycles; who never reached it counts as the "
+        f"whole budget of {budget}. Legs differ: share of the states that two legs both visited "
+        "20 times in which their best actions are not the same.",
+        "",
+        *claims,
+        "",
+        *walkers(found["arms"]),
+        "",
+        WALKERS_NOTE,
+    ]
+
+
+def draw(found: Found, file: Path) -> None:
+    """Draw how long it takes, and the falls."""
+    budget = found["arms"][0]["runs"][0]["cycles"]
+    names = {"empty table": "shared", "private tables": "private"}
+    times: dict[str, dict[str, list[float]]] = {}
+    falls: dict[str, dict[str, list[float]]] = {}
+    for body in BODIES:
+        for tables, name in names.items():
+            for learner in LEARNERS:
+                kind = f"{name}, {learner}"
+                each = found["curves"][f"{body}/{learner}/{tables}"]
+                times.setdefault(body, {})[kind] = [budget if t is None else t for t in each]
+                runs = runs_of(found, body=body, walker=tables, learner=learner)
+                falls.setdefault(body, {})[kind] = falls_rates(runs)
+    label = "cycles to the reward"
+    plots.bodies(file, {label: times, plots.FALLS: falls}, log=[plots.FALLS])
+
+
+STUDY = Study(
+    "sharing",
+    "One shared table against four private ones",
+    "all legs reference one table, so that learning after integration is four times as quick; "
+    "legs may need to specialise.",
+    arms,
+    text,
+    draw,
+    curves,
+)

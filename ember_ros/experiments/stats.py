@@ -1,0 +1,98 @@
+"""What many seeds say: medians, quartiles, intervals of differences, and a word for them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+LEVEL = 0.95
+RESAMPLES = 9999
+
+
+class Interval(NamedTuple):
+    """A mean and its bootstrap interval."""
+
+    mean: float
+    low: float
+    high: float
+    n: int
+
+
+def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
+    """Return the first quartile, the median and the third quartile."""
+    low, middle, high = np.percentile(np.asarray(values, dtype=float), (25, 50, 75))
+    return float(low), float(middle), float(high)
+
+
+def interval(values: Sequence[float]) -> Interval:
+    """Return the mean with its 95 % bootstrap interval (percentile, 9999 resamples, seed 0)."""
+    from scipy import stats
+
+    data = np.asarray(values, dtype=float)
+    mean = float(data.mean())
+    if len(data) < 2 or np.ptp(data) == 0.0:
+        return Interval(mean, mean, mean, len(data))
+    found = stats.bootstrap(
+        (data,),
+        np.mean,
+        confidence_level=LEVEL,
+        n_resamples=RESAMPLES,
+        method="percentile",
+        random_state=np.random.default_rng(0),
+    ).confidence_interval
+    return Interval(mean, float(found.low), float(found.high), len(data))
+
+
+def difference(one: Sequence[float], other: Sequence[float]) -> Interval:
+    """Return the interval of ``one - other``, seed by seed."""
+    return interval([a - b for a, b in zip(one, other, strict=True)])
+
+
+def verdict(found: Interval, *, claimed: int) -> str:
+    """Return ``holds``, ``fails`` or ``unclear`` for a claimed sign of a difference.
+
+    Unclear is an interval that has 0 in it, or one seed alone.
+    """
+    if found.n < 2 or found.low <= 0.0 <= found.high:
+        return "unclear"
+    return "holds" if (found.mean > 0.0) == (claimed > 0) else "fails"
+
+
+class Survival(NamedTuple):
+    """A Kaplan-Meier curve: the share that has not failed yet, by steps walked."""
+
+    steps: list[float]
+    share: list[float]
+    low: list[float]
+    high: list[float]
+
+
+def survival(first_falls: Sequence[int | None], cycles: Sequence[int]) -> Survival:
+    """Return the Kaplan-Meier curve; who never fell is censored at the end of its walk."""
+    from scipy import stats
+
+    ends = [
+        end if fall is None else fall + 1 for fall, end in zip(first_falls, cycles, strict=True)
+    ]
+    fell = [fall is not None for fall in first_falls]
+    if not any(fell):
+        last = float(max(cycles))
+        return Survival([0.0, last], [1.0, 1.0], [1.0, 1.0], [1.0, 1.0])
+    data = stats.CensoredData(
+        uncensored=[e for e, f in zip(ends, fell, strict=True) if f],
+        right=[e for e, f in zip(ends, fell, strict=True) if not f],
+    )
+    curve = stats.ecdf(data).sf
+    with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # no bound where nobody or all are left
+        bounds = curve.confidence_interval(LEVEL, method="log-log")
+    steps = [0.0, *map(float, curve.quantiles)]
+    share = [1.0, *map(float, curve.probabilities)]
+    low, high = (
+        [1.0, *np.where(np.isnan(bound.probabilities), share[1:], bound.probabilities).tolist()]
+        for bound in (bounds.low, bounds.high)
+    )
+    return Survival(steps, share, low, high)

@@ -1,0 +1,325 @@
+"""One run of an experiment as a value: what is run, what it starts from, and what came of it.
+
+A trial is named by the SHA-256 of all that determines it, the code that decides included, so that
+what lies in its folder is what running it again would give.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import importlib.util
+import itertools
+import json
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ember_ros.experiments.central import CentralLoop
+from ember_ros.loop import Loop
+from ember_ros.params import Params, params_sha256
+from ember_ros.plan import Plan
+from ember_ros.report.recorder import Recorder, Row
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from ember_ros.versions import versions
+from leg_node.gait import LegGait
+from leg_node.state import Partition
+from leg_node.table import Ints, Table, load_table, save_table
+
+TILT_RAD, LOW_M = 0.3, 0.36
+"""A cycle with more tilt or lower hips than this is counted as outside, fall or no fall."""
+SETTLING = 100
+"""Cycles after which the share outside is told once more."""
+WINDOW = 500
+"""Cycles at the beginning and at the end whose standard deviations are compared."""
+SHOWN = 16
+"""Cycles at the beginning and at the end whose roll and pitch are kept tick by tick."""
+KNOWN = 20
+"""Visits of a state by each of two legs, from which on their best actions are compared."""
+CENTRAL = "central"
+"""The policy of one learner over all legs."""
+TABLE, MEASURES, CYCLES = "table.npz", "trial.json", "cycles.npz"
+COLUMNS = tuple(name for name in Row._fields if name not in ("cycle", "module"))
+DECIDES = (
+    *("ember_ros", "ember_ros.errors", "ember_ros.kinematics", "ember_ros.loop"),
+    *("ember_ros.params", "ember_ros.plan", "ember_ros.randomness", "ember_ros.signals"),
+    *("ember_ros.experiments.central", "ember_ros.experiments.trial", "ember_ros.report.recorder"),
+    *("cpg_node.cpg", "leg_node.gait", "leg_node.module", "leg_node.policy", "leg_node.reading"),
+    *("leg_node.reward", "leg_node.shared", "leg_node.state", "leg_node.table"),
+    *("sim_node.bodies", "sim_node.bullet", "sim_node.trainer", "sim_node.walker"),
+)
+"""The modules that decide what comes of a trial."""
+
+
+@functools.cache
+def code_sha256() -> str:
+    """Return the SHA-256 of the code that decides: of what it does, not of how it is written.
+
+    Comments, docstrings and line ends do not count.
+    """
+    digest = hashlib.sha256()
+    for name in DECIDES:
+        spec = importlib.util.find_spec(name)
+        assert spec is not None
+        assert spec.origin is not None
+        tree = ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            body = getattr(node, "body", None)
+            if isinstance(body, list):
+                node.body = [each for each in body if not _only_words(each)]  # type: ignore[attr-defined]
+        digest.update(ast.dump(tree).encode())
+    return digest.hexdigest()
+
+
+def _only_words(statement: ast.stmt) -> bool:
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A run by the direct loop."""
+
+    world: str
+    cycles: int
+    seed: int
+    params: Params = field(default_factory=Params)
+    policy: str = "learned"
+    """``learned``, ``scripted``, ``random``, or ``central``."""
+    learning: bool = True
+    start: Trial | None = None
+    """Whose table it starts from."""
+
+    @functools.cached_property
+    def key(self) -> str:
+        """Names the trial: equal exactly where all that determines it is equal."""
+        content = [
+            self.world,
+            self.cycles,
+            self.seed,
+            params_sha256(self.params),
+            self.policy,
+            self.learning,
+            self.start.key if self.start else None,
+            code_sha256(),
+            versions(),
+        ]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a trial."""
+
+    measures: dict[str, Any]
+    """Plain numbers by name."""
+    cycles: dict[str, NDArray[np.float64]]
+    """The body's columns of ``cycles.csv``, ``(cycles,)`` each."""
+    shown: NDArray[np.float64]
+    """Roll and pitch, rad, at each tick of the first and of the last ``SHOWN`` cycles,
+    ``(2, ticks, 2)``."""
+    footfall: NDArray[np.float64]
+    """Share of all legs and cycles with the foot on the ground, in each tick of a leg's own cycle,
+    stance first, ``(ticks,)``."""
+
+
+def done(trial: Trial, folder: Path) -> bool:
+    """Return whether a trial was run before."""
+    return (folder / trial.key / MEASURES).exists()
+
+
+def outcome(trial: Trial, folder: Path) -> Outcome:
+    """Read what came of a trial."""
+    home = folder / trial.key
+    with np.load(home / CYCLES, allow_pickle=False) as content:
+        columns = {name: content[name] for name in content.files}
+    measures = json.loads((home / MEASURES).read_text(encoding="utf-8"))
+    return Outcome(measures, columns, columns.pop("shown"), columns.pop("footfall"))
+
+
+class _Watch:
+    """Hears every tick of a trial: in which states the legs were, and when their feet were down."""
+
+    def __init__(self, trial: Trial, legs: Sequence[str], start: Table | None) -> None:
+        self._partition = Partition(trial.params)
+        self._gaits = [LegGait(trial.params.gait, leg) for leg in legs]
+        self.visits: Ints = np.zeros(self._partition.size, dtype=np.int64)
+        """How often any leg was in each state."""
+        self._down: list[int] = [0] * trial.params.gait.ticks
+        self._known = None if start is None else visits_of_states(start) > 0
+
+    def tick(
+        self,
+        phase: Phase,
+        senses: Sequence[LegSense],
+        commands: Sequence[LegCommand | None],
+        body: BodyState,
+    ) -> None:
+        index, visits, down = self._partition.index, self.visits, self._down
+        for sense, gait in zip(senses, self._gaits, strict=True):
+            visits[index(sense, gait.stance(phase))] += 1
+            if sense.force_mean > 0.0:  # in the tick that just ended
+                down[gait.slot(phase, -1)] += 1
+
+    def footfall(self, cycles: int) -> NDArray[np.float64]:
+        """Return the share of cycles with the foot on the ground, for each tick of a cycle."""
+        return np.array(self._down) / (len(self._gaits) * cycles)
+
+    def unseen(self) -> float | None:
+        """Return the share of decisions in states that the start's legs never were in."""
+        if self._known is None:
+            return None
+        return float(self.visits[~self._known].sum() / max(1, self.visits.sum()))
+
+
+def visits_of_states(table: Table) -> Ints:
+    """Return how often each state's actions were tried, ``(states,)``."""
+    total: Ints = table.visits.reshape(table.states, table.actions).sum(axis=1)
+    return total
+
+
+def run_trial(trial: Trial, folder: Path, go_on: Callable[[], bool] = lambda: True) -> bool:
+    """Run a trial whose start was run before, and keep what came of it.
+
+    Args:
+        trial: what to run.
+        folder: of all trials.
+        go_on: asked at every cycle.
+
+    Returns:
+        Whether it came to its end; if not, nothing is kept.
+    """
+    began = time.process_time()
+    plan = Plan(
+        trial.world,
+        trial.cycles,
+        seed=trial.seed,
+        params=trial.params,
+        policy="learned" if trial.policy == CENTRAL else trial.policy,
+        learning=trial.learning,
+        table=folder / trial.start.key / TABLE if trial.start else None,
+    )
+    loop = CentralLoop(plan) if trial.policy == CENTRAL else Loop(plan)
+    try:
+        start = load_table(plan.table, plan.params)[0] if plan.table else None
+        recorder = Recorder(plan.params, plan.legs)
+        watch = _Watch(trial, plan.legs, start)
+        for _ in range(trial.cycles):
+            if not go_on():
+                return False
+            for _ in range(plan.params.gait.ticks):
+                loop.tick(recorder, watch)
+        recorder.finish(loop.world.observe(), loop.world.body())
+        differ = _differ([leg.copy.table for leg in loop.legs])
+        table = loop.finish()
+        summary = recorder.summary()
+        measures = {
+            **_measures(plan.params, recorder, loop.world.work),
+            "legs_differ": differ,
+            "unseen_share": watch.unseen(),
+            "states_visited": int((watch.visits > 0).sum()),
+            "commands_sha256": summary["commands_sha256"],
+            "senses_sha256": summary["senses_sha256"],
+            "table_sha256": table.sha256(),
+            "cpu_s": round(time.process_time() - began, 2),
+        }
+        _keep(trial, folder, measures, recorder, watch, table)
+    finally:
+        loop.close()
+    return True
+
+
+def _keep(
+    trial: Trial,
+    folder: Path,
+    measures: dict[str, Any],
+    recorder: Recorder,
+    watch: _Watch,
+    table: Table,
+) -> None:
+    """Write all files of a trial, or none."""
+    folder.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(prefix=".draft_", dir=folder))
+    try:
+        rows, shown = recorder.body_rows(), SHOWN * trial.params.gait.ticks
+        traces = np.frombuffer(recorder.traces).reshape(-1, 4)[:, 2:]
+        columns = {
+            name: np.array([getattr(row, name) for row in rows], dtype=float) for name in COLUMNS
+        }
+        few = min(shown, len(traces))
+        columns["shown"] = np.stack([traces[:few], traces[len(traces) - few :]])
+        columns["footfall"] = watch.footfall(trial.cycles)
+        np.savez_compressed(draft / CYCLES, allow_pickle=False, **columns)
+        if trial.policy != CENTRAL:
+            save_table(draft / TABLE, table, trial.params, trial.seed)
+        (draft / MEASURES).write_text(json.dumps(measures, indent=1) + "\n", encoding="utf-8")
+        shutil.rmtree(folder / trial.key, ignore_errors=True)
+        os.rename(draft, folder / trial.key)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _measures(params: Params, recorder: Recorder, work: float) -> dict[str, Any]:
+    """Return what is told of a run."""
+    rows = recorder.body_rows()
+    traces = np.frombuffer(recorder.traces).reshape(-1, 4)
+    window = min(WINDOW, len(rows)) * params.gait.ticks
+    summary = recorder.summary()
+    out = [(r.tilt_max_rad or 0.0) > TILT_RAD or (r.height_min_m or 0.0) < LOW_M for r in rows]
+    way = sum(r.distance_m or 0.0 for r in rows)
+    late = rows[-min(WINDOW, len(rows)) :]
+    leg, walker = params.leg, params.walker
+    legs = len(recorder.rows) // len(rows) - 1
+    mass = walker.mass + legs * (leg.thigh_mass + leg.shank_mass + leg.foot_mass)
+    return {
+        "cycles": len(rows),
+        "falls": summary["falls"],
+        "first_fall": summary["first_fall"],
+        "outside": _share(out),
+        "outside_settled": _share(out[SETTLING:]),
+        "distance_m": way / len(rows),
+        "distance_last_m": sum(r.distance_m or 0.0 for r in late) / len(late),
+        "reward": sum(r.reward for r in rows) / len(rows),
+        "reward_last": sum(r.reward for r in late) / len(late),
+        "peak_force_n": sum(r.peak_force_n for r in late) / len(late),
+        "contact_share": sum(r.contact_share for r in late) / len(late),
+        "duty_factor": sum(r.duty_factor for r in late) / len(late),
+        "slip_m": sum(r.slip_m for r in late) / len(late),
+        "turn_rad": sum(abs(r.turn_rad or 0.0) for r in late) / len(late),
+        "drift_rad": abs(sum(r.turn_rad or 0.0 for r in late)) / len(late),
+        "roll_sd_rad": float(traces[:, 2].std()),
+        "pitch_sd_rad": float(traces[:, 3].std()),
+        "roll_sd_first_rad": float(traces[:window, 2].std()),
+        "roll_sd_last_rad": float(traces[-window:, 2].std()),
+        "pitch_sd_first_rad": float(traces[:window, 3].std()),
+        "pitch_sd_last_rad": float(traces[-window:, 3].std()),
+        "cost_of_transport": work / (mass * params.physics.gravity * way) if way > 0.0 else None,
+    }
+
+
+def _share(bits: Sequence[bool]) -> float | None:
+    return sum(bits) / len(bits) if bits else None
+
+
+def _differ(tables: Sequence[Table]) -> float | None:
+    """Return the mean share, over pairs of legs, of well known states with another best action."""
+    shares = []
+    for one, other in itertools.combinations(tables, 2):
+        known = (visits_of_states(one) >= KNOWN) & (visits_of_states(other) >= KNOWN)
+        if known.any():
+            shape = (one.states, one.actions)
+            best = [table.values.reshape(shape)[known].argmax(axis=1) for table in (one, other)]
+            shares.append(float((best[0] != best[1]).mean()))
+    return sum(shares) / len(shares) if shares else None
