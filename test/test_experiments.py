@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 from ember_ros.cli import main
-from ember_ros.experiments import lab, learners, senses, stats
+from ember_ros.experiments import lab, stats
 from ember_ros.experiments.central import CentralLoop
-from ember_ros.experiments.fig5 import settles
 from ember_ros.experiments.reproduction import DOCUMENT, RESULTS, STUDIES, document
-from ember_ros.experiments.sharing import NEVER, reached
+from ember_ros.experiments.studies import learners, senses
+from ember_ros.experiments.studies.fig5 import settles
+from ember_ros.experiments.studies.sharing import NEVER, reached
 from ember_ros.experiments.study import (
     BODIES,
     LEARNERS,
     OTHER_SEED,
     Size,
-    column,
     numbers,
     trained,
     walks,
@@ -36,6 +36,7 @@ from ember_ros.experiments.trial import (
     outcome,
     run_trial,
 )
+from ember_ros.experiments.words import column
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
 from ember_ros.plan import Plan

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ember_ros.experiments import stats
+from ember_ros.experiments import stats, words
 from ember_ros.report.figures import AMBER, BLUE, GREY, INK, canvas, save
 
 if TYPE_CHECKING:
@@ -67,15 +67,13 @@ def fall_rates_and(
         kinds: name of a kind, labels of its arms.
         groups: name of a group, labels of its arms.
     """
-    from ember_ros.experiments.study import column, falls_rates, runs_of
-
     falls: dict[str, dict[str, list[float]]] = {}
     ways: dict[str, dict[str, list[float]]] = {}
     for group, one in groups.items():
         for kind, other in kinds.items():
-            runs = runs_of(found, **one, **other)
-            falls.setdefault(group, {})[kind] = falls_rates(runs)
-            ways.setdefault(group, {})[kind] = column(runs, "distance_m")
+            runs = words.runs_of(found, **one, **other)
+            falls.setdefault(group, {})[kind] = words.column(runs, words.FALL_RATE)
+            ways.setdefault(group, {})[kind] = words.column(runs, "distance_m")
     return {FALLS: falls, WAY: ways}
 
 

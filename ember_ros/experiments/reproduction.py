@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 
 from ember_ros.errors import ParameterError
-from ember_ros.experiments import (
+from ember_ros.experiments import words
+from ember_ros.experiments.studies import (
     baselines,
     direct,
     fig5,
@@ -18,8 +19,9 @@ from ember_ros.experiments import (
     sharing,
     walker,
 )
-from ember_ros.experiments.study import Found, Study, runs_of, section
-from ember_ros.experiments.walker import ENOUGH
+from ember_ros.experiments.studies.walker import ENOUGH
+from ember_ros.experiments.study import Study, section
+from ember_ros.experiments.words import Found
 
 ALL = "all"
 DOCUMENT = "REPRODUCTION.md"
@@ -119,10 +121,10 @@ def _hours(found: dict[str, Found]) -> float:
 def _summary(found: dict[str, Found]) -> list[str]:
     """Return the lines that answer the question: does it walk, and go on walking?"""
     walks = found["walker"]
-    scripted = runs_of(walks, walker="scripted knee")[0]["distance_m"]
+    scripted = words.runs_of(walks, walker="scripted knee")[0]["distance_m"]
     lines = ["**In short.**", ""]
     for learner, seeds in walker.GROUPS:
-        runs = runs_of(walks, learner=learner, seeds=seeds)
+        runs = words.runs_of(walks, learner=learner, seeds=seeds)
         never = sum(run["falls"] == 0 for run in runs)
         mean = sum(run["distance_m"] for run in runs) / len(runs)
         lines.append(
@@ -133,9 +135,9 @@ def _summary(found: dict[str, Found]) -> list[str]:
             "about 6900."
         )
     for body in frontier.BODIES:
-        runs = runs_of(found["frontier"], body=body, walker="trained table", learner="ember")
+        runs = words.runs_of(found["frontier"], body=body, walker="trained table", learner="ember")
         rate = 1000 * sum(r["falls"] for r in runs) / sum(r["cycles"] for r in runs)
-        plain = runs_of(found["frontier"], body=body, walker="trained table", learner="plain")
+        plain = words.runs_of(found["frontier"], body=body, walker="trained table", learner="plain")
         worse = 1000 * sum(r["falls"] for r in plain) / sum(r["cycles"] for r in plain)
         lines.append(
             f"- Frontier, {body} body: `ember` {rate:.2f} falls per 1000 steps, `plain` "

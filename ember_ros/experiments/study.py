@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ember_ros.experiments import stats
 from ember_ros.experiments.trial import Outcome, Trial, outcome
+from ember_ros.experiments.words import Found
 from ember_ros.params import Params, replace
 from ember_ros.params_file import load_params
 from ember_ros.versions import versions
@@ -23,11 +23,6 @@ BODIES = ("reference", "easy", "short", "narrow")
 LEARNERS = ("plain", "ember")
 OTHER_SEED = 1000
 """Added to a training seed for the walk with its table: the two share no random number."""
-
-Found = dict[str, Any]
-"""The JSON value: ``name``, ``about``, ``arms`` (``labels`` and ``runs``) and ``curves``."""
-Run = dict[str, Any]
-"""One trial's line: ``seed``, ``trial`` and its measures."""
 
 
 class Size(NamedTuple):
@@ -214,101 +209,3 @@ def section(study: Study, found: Found, heading: str, figures: str = "") -> list
         f"of `{study.name}.csv`.",
         "",
     ]
-
-
-# -- from a value to words --------------------------------------------------------------------
-
-
-def runs_of(found: Found, **labels: str) -> list[Run]:
-    """Return the runs of the one arm with these labels.
-
-    Raises:
-        KeyError: there is none, or more than one.
-    """
-    fits = [arm for arm in found["arms"] if labels.items() <= arm["labels"].items()]
-    if len(fits) != 1:
-        raise KeyError(f"{len(fits)} arms of {found['name']} have {labels}; one would be right")
-    runs: list[Run] = fits[0]["runs"]
-    return runs
-
-
-def column(runs: Sequence[Run], name: str) -> list[float]:
-    """Return one measure of all runs, ``None`` as not a number would be wrong: none is left out.
-
-    Raises:
-        ValueError: a run has no such number.
-    """
-    values = [run[name] for run in runs]
-    if None in values:
-        raise ValueError(f"{name} is not known of every run")
-    return [float(value) for value in values]
-
-
-def falls_per_1000(runs: Sequence[Run]) -> float:
-    """Return falls per 1000 cycles, all runs together."""
-    return 1000.0 * sum(column(runs, "falls")) / sum(column(runs, "cycles"))
-
-
-def falls_rates(runs: Sequence[Run]) -> list[float]:
-    """Return falls per 1000 cycles of each run."""
-    return [1000.0 * run["falls"] / run["cycles"] for run in runs]
-
-
-def never_fell(runs: Sequence[Run]) -> str:
-    """Return how many of the runs never fell."""
-    return f"{sum(run['falls'] == 0 for run in runs)} of {len(runs)}"
-
-
-def spread(values: Sequence[float], form: str = ".3f") -> str:
-    """Return the median, and the quartiles in brackets."""
-    low, middle, high = stats.quartiles(values)
-    if len(values) == 1:
-        return f"{middle:{form}}"
-    return f"{middle:{form}} ({low:{form}} to {high:{form}})"
-
-
-def told(found: stats.Interval, form: str = ".3f", sign: str = "+") -> str:
-    """Return a mean difference with its interval."""
-    return f"{found.mean:{sign}{form}} [{found.low:{sign}{form}}, {found.high:{sign}{form}}]"
-
-
-def grid(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> list[str]:
-    """Return a Markdown table."""
-    return [
-        f"| {' | '.join(heads)} |",
-        f"|{'---|' * len(heads)}",
-        *(f"| {' | '.join(line)} |" for line in lines),
-    ]
-
-
-def walkers(arms: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the table of walkers: a line an arm, in the same columns everywhere."""
-    heads = (
-        "body", "walker", "learner", "runs", "never fell", "falls per 1000", "outside",
-        "distance a cycle, m", "SD of roll, rad", "SD of pitch, rad",
-    )  # fmt: skip
-    lines = []
-    for arm in arms:
-        runs, labels = arm["runs"], arm["labels"]
-        lines.append(
-            (
-                labels["body"],
-                labels["walker"],
-                labels["learner"],
-                str(len(runs)),
-                never_fell(runs),
-                f"{falls_per_1000(runs):.2f}",
-                f"{100 * stats.quartiles(column(runs, 'outside'))[1]:.1f} %",
-                spread(column(runs, "distance_m")),
-                spread(column(runs, "roll_sd_rad")),
-                spread(column(runs, "pitch_sd_rad")),
-            )
-        )
-    return grid(heads, lines)
-
-
-WALKERS_NOTE = (
-    "Medians over seeds with quartiles; falls of all runs together; outside: share of cycles with "
-    "roll or pitch over 0.3 rad or hips under 0.36 m."
-)
-"""Stands below every table of walkers."""

@@ -5,24 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ember_ros.experiments import plots, stats
-from ember_ros.experiments.study import (
-    WALKERS_NOTE,
-    Arm,
-    Found,
-    Size,
-    Study,
-    column,
-    company,
-    falls_rates,
-    grid,
-    numbers,
-    runs_of,
-    told,
-    trained,
-    walkers,
-    walks,
-)
+from ember_ros.experiments import plots, words
+from ember_ros.experiments.study import Arm, Size, Study, company, numbers, trained, walks
+from ember_ros.experiments.words import Found
 from ember_ros.params import as_dict
 from ember_ros.report.figures import INK, canvas, save
 
@@ -100,28 +85,30 @@ def text(found: Found) -> list[str]:
                 if values[0] != values[1]:
                     switches.append((part, f"`{full}`", *values, MEANING[part]))
     for body in BODIES:
-        whole, none = (runs_of(found, body=body, learner=learner) for learner in ("ember", "plain"))
+        whole, none = (
+            words.runs_of(found, body=body, learner=learner) for learner in ("ember", "plain")
+        )
         for part in PARTS:
-            alone = runs_of(found, body=body, learner=f"plain + {part}")
-            left = runs_of(found, body=body, learner=f"ember - {part}")
+            alone = words.runs_of(found, body=body, learner=f"plain + {part}")
+            left = words.runs_of(found, body=body, learner=f"ember - {part}")
             lines.append(
                 (
                     body,
                     part,
-                    told(stats.difference(falls_rates(alone), falls_rates(none)), ".1f"),
-                    told(stats.difference(column(alone, "distance_m"), column(none, "distance_m"))),
-                    told(stats.difference(falls_rates(left), falls_rates(whole)), ".1f"),
-                    told(stats.difference(column(left, "distance_m"), column(whole, "distance_m"))),
+                    words.told(words.more(alone, none, words.FALL_RATE), ".1f"),
+                    words.told(words.more(alone, none, "distance_m")),
+                    words.told(words.more(left, whole, words.FALL_RATE), ".1f"),
+                    words.told(words.more(left, whole, "distance_m")),
                 )
             )
     return [
         "`plain` is the paper's learner (`--params plain`); `ember` the default. They differ in:",
         "",
-        *grid(("part", "parameter", "plain", "ember", "meaning"), switches),
+        *words.grid(("part", "parameter", "plain", "ember", "meaning"), switches),
         "",
         "What a part does, seed by seed: added to `plain` alone, and left out of `ember`:",
         "",
-        *grid(
+        *words.grid(
             (
                 "body",
                 "part",
@@ -133,9 +120,9 @@ def text(found: Found) -> list[str]:
             lines,
         ),
         "",
-        *walkers(found["arms"]),
+        *words.walkers(found["arms"]),
         "",
-        WALKERS_NOTE,
+        words.WALKERS_NOTE,
     ]
 
 
@@ -147,8 +134,12 @@ def draw(found: Found, file: Path) -> None:
         for down, label in enumerate((plots.FALLS, plots.WAY)):
             groups = {}
             for name in names:
-                runs = runs_of(found, body=body, learner=name)
-                values = falls_rates(runs) if down == 0 else column(runs, "distance_m")
+                runs = words.runs_of(found, body=body, learner=name)
+                values = (
+                    words.column(runs, words.FALL_RATE)
+                    if down == 0
+                    else words.column(runs, "distance_m")
+                )
                 groups[name.replace(" ", "\n")] = {"": values}
             axis = axes[down, across]
             plots.strips(axis, groups, label)

@@ -5,22 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ember_ros.experiments import stats
-from ember_ros.experiments.study import (
-    Arm,
-    Found,
-    Size,
-    Study,
-    column,
-    falls_per_1000,
-    falls_rates,
-    grid,
-    never_fell,
-    runs_of,
-    spread,
-    trained,
-    walks,
-)
+from ember_ros.experiments import stats, words
+from ember_ros.experiments.study import Arm, Size, Study, trained, walks
+from ember_ros.experiments.words import Found
 from ember_ros.report.figures import BLUE, INK, canvas, save
 
 
@@ -81,13 +68,13 @@ def text(found: Found) -> list[str]:
         for value in sweep.values:
             cells = [f"`{name}`", f"{value:g}"]
             for walker in POLICIES:
-                runs = runs_of(found, sweep=name, value=repr(value), walker=walker)
+                runs = words.runs_of(found, sweep=name, value=repr(value), walker=walker)
                 cells += [
-                    never_fell(runs),
-                    f"{falls_per_1000(runs):.1f}",
-                    f"{100 * stats.quartiles(column(runs, 'outside'))[1]:.1f} %",
-                    spread(column(runs, "distance_m")),
-                    spread(column(runs, "roll_sd_rad")),
+                    words.never_fell(runs),
+                    f"{words.falls_per_1000(runs):.1f}",
+                    f"{100 * stats.quartiles(words.column(runs, 'outside'))[1]:.1f} %",
+                    words.spread(words.column(runs, "distance_m")),
+                    words.spread(words.column(runs, "roll_sd_rad")),
                 ]
             lines.append(cells)
     heads = ["parameter", "value"] + [
@@ -99,7 +86,7 @@ def text(found: Found) -> list[str]:
         "`ember`, the reference body, one number changed at a time. Where it is the leg's or the "
         "ground's, legs are trained with it; where it is the body's, they are the same legs.",
         "",
-        *grid(heads, lines),
+        *words.grid(heads, lines),
         "",
         "3 to 1 is 24/32 = 0.75 of stance; 19/32 = 0.59 is the nearest to 3 to 2.",
     ]
@@ -113,13 +100,13 @@ def draw(found: Found, file: Path) -> None:
         above, below = axes[2 * (n // 4), n % 4], axes[2 * (n // 4) + 1, n % 4]
         for walker, colour in zip(POLICIES, (BLUE, INK), strict=True):
             runs = [
-                runs_of(found, sweep=name, value=repr(value), walker=walker)
+                words.runs_of(found, sweep=name, value=repr(value), walker=walker)
                 for value in sweep.values
             ]
             style = "-" if walker == "trained" else "--"
             for axis, each in (
-                (above, [falls_rates(r) for r in runs]),
-                (below, [column(r, "distance_m") for r in runs]),
+                (above, [words.column(r, words.FALL_RATE) for r in runs]),
+                (below, [words.column(r, "distance_m") for r in runs]),
             ):
                 middle = [stats.quartiles(values)[1] for values in each]
                 axis.plot(sweep.values, middle, style, color=colour, lw=1.5, label=walker)

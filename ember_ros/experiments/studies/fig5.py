@@ -8,21 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ember_ros.experiments import stats
-from ember_ros.experiments.study import (
-    LEARNERS,
-    Arm,
-    Found,
-    Size,
-    Study,
-    column,
-    grid,
-    numbers,
-    runs_of,
-    spread,
-    told,
-)
+from ember_ros.experiments import stats, words
+from ember_ros.experiments.study import LEARNERS, Arm, Size, Study, numbers
 from ember_ros.experiments.trial import Outcome, Trial
+from ember_ros.experiments.words import Found
 from ember_ros.report.figures import AMBER, BLUE, INK, canvas, save
 
 HEIGHTS = ("fixed", "modulated")
@@ -89,36 +78,37 @@ def text(found: Found) -> list[str]:
     lines, claims = [], []
     for learner in LEARNERS:
         for height in HEIGHTS:
-            runs = runs_of(found, learner=learner, height=height)
+            runs = words.runs_of(found, learner=learner, height=height)
             curve = {n: found["curves"][f"{learner}/{height}/{n}"] for n in QUANTITIES}
             lines.append(
                 (
                     learner,
                     height,
-                    spread(column(runs, "distance_last_m")),
-                    spread(curve["distance_m"]["settles"], ".0f"),
-                    spread(column(runs, "peak_force_n"), ".0f"),
-                    spread(curve["peak_force_n"]["settles"], ".0f"),
+                    words.spread(words.column(runs, "distance_last_m")),
+                    words.spread(curve["distance_m"]["settles"], ".0f"),
+                    words.spread(words.column(runs, "peak_force_n"), ".0f"),
+                    words.spread(curve["peak_force_n"]["settles"], ".0f"),
                 )
             )
         settled = [found["curves"][f"{learner}/{h}/distance_m"]["settles"] for h in HEIGHTS]
         slower = stats.difference(settled[1], settled[0])
         both = [
-            column(runs_of(found, learner=learner, height=h), "distance_last_m") for h in HEIGHTS
+            words.column(words.runs_of(found, learner=learner, height=h), "distance_last_m")
+            for h in HEIGHTS
         ]
         shorter = stats.difference(both[1], both[0])
         claims.append(
             f"- `{learner}`: with modulated height learning is slower: "
-            f"**{stats.verdict(slower, claimed=1)}** (the distance settles {told(slower, '.0f')} "
-            f"steps later); and steps are shorter after learning: "
-            f"**{stats.verdict(shorter, claimed=-1)}** ({told(shorter)} m)."
+            f"**{stats.verdict(slower, claimed=1)}** (the distance settles "
+            f"{words.told(slower, '.0f')} steps later); and steps are shorter after learning: "
+            f"**{stats.verdict(shorter, claimed=-1)}** ({words.told(shorter)} m)."
         )
     heads = (
         "learner", "stop", "distance a step at the end, m", "settles at step",
         "peak force at the end, N", "settles at step",
     )  # fmt: skip
     return [
-        *grid(heads, lines),
+        *words.grid(heads, lines),
         "",
         "Medians over seeds with quartiles; at the end: the last 500 steps. A curve settles where "
         f"its mean over {MEAN} steps has first gone {SETTLED:.0%} of its way.",

@@ -4,25 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ember_ros.experiments import plots, stats
-from ember_ros.experiments.fig5 import HEIGHTS, height_arm
-from ember_ros.experiments.study import (
-    BODIES,
-    LEARNERS,
-    WALKERS_NOTE,
-    Arm,
-    Found,
-    Size,
-    Study,
-    column,
-    company,
-    falls_rates,
-    grid,
-    runs_of,
-    told,
-    walkers,
-    walks,
-)
+from ember_ros.experiments import plots, stats, words
+from ember_ros.experiments.studies.fig5 import HEIGHTS, height_arm
+from ember_ros.experiments.study import BODIES, LEARNERS, Arm, Size, Study, company, walks
+from ember_ros.experiments.words import Found
 
 
 def arms(size: Size) -> list[Arm]:
@@ -49,28 +34,28 @@ def text(found: Found) -> list[str]:
     for body in BODIES:
         for learner in LEARNERS:
             fixed, modulated = (
-                runs_of(found, body=body, walker=f"trained, {height} stop", learner=learner)
+                words.runs_of(found, body=body, walker=f"trained, {height} stop", learner=learner)
                 for height in HEIGHTS
             )
-            falls = stats.difference(falls_rates(modulated), falls_rates(fixed))
-            roll = stats.difference(column(modulated, "roll_sd_rad"), column(fixed, "roll_sd_rad"))
-            way = stats.difference(column(fixed, "distance_m"), column(modulated, "distance_m"))
+            falls = words.more(modulated, fixed, words.FALL_RATE)
+            roll = words.more(modulated, fixed, "roll_sd_rad")
+            way = words.more(fixed, modulated, "distance_m")
             lines.append(
                 (
                     body,
                     learner,
-                    told(falls, ".2f"),
+                    words.told(falls, ".2f"),
                     stats.verdict(falls, claimed=1),
-                    told(roll, ".4f"),
+                    words.told(roll, ".4f"),
                     stats.verdict(roll, claimed=1),
-                    told(way),
+                    words.told(way),
                     stats.verdict(way, claimed=1),
                 )
             )
     return [
         "The claim is that the simpler training walks better. Seed by seed:",
         "",
-        *grid(
+        *words.grid(
             (
                 "body",
                 "learner",
@@ -84,9 +69,9 @@ def text(found: Found) -> list[str]:
             lines,
         ),
         "",
-        *walkers(found["arms"]),
+        *words.walkers(found["arms"]),
         "",
-        WALKERS_NOTE,
+        words.WALKERS_NOTE,
     ]
 
 

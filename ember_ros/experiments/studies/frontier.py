@@ -7,29 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ember_ros.experiments import plots, stats
-from ember_ros.experiments.learners import changes
+from ember_ros.experiments import plots, words
 from ember_ros.experiments.plots import COLOURS
-from ember_ros.experiments.study import (
-    WALKERS_NOTE,
-    Arm,
-    Found,
-    Size,
-    Study,
-    column,
-    company,
-    falls_per_1000,
-    falls_rates,
-    grid,
-    never_fell,
-    runs_of,
-    told,
-    trained,
-    trained_arm,
-    walkers,
-    walks,
-)
+from ember_ros.experiments.studies.learners import changes
+from ember_ros.experiments.study import Arm, Size, Study, company, trained, trained_arm, walks
 from ember_ros.experiments.trial import Outcome
+from ember_ros.experiments.words import Found
 from ember_ros.report.figures import GREY, canvas, save
 
 BODIES = ("short", "narrow")
@@ -107,22 +90,22 @@ def text(found: Found) -> list[str]:
     lines, aims = [], []
     for body in BODIES:
         before, after = (
-            runs_of(found, body=body, walker="trained table", learner=learner)
+            words.runs_of(found, body=body, walker="trained table", learner=learner)
             for learner in (BEFORE, "ember")
         )
-        fewer = stats.difference(falls_rates(before), falls_rates(after))
-        rate = falls_per_1000(after)
+        fewer = words.more(before, after, words.FALL_RATE)
+        rate = words.falls_per_1000(after)
         aims.append(
-            f"- {body}: **{falls_per_1000(before):.2f}** falls per 1000 cycles before, "
-            f"**{rate:.2f}** after ({told(fewer, '.2f')} fewer); the aim of at most 1 is "
-            f"{'reached' if rate <= 1.0 else 'missed'}, and {never_fell(after)} never fell."
+            f"- {body}: **{words.falls_per_1000(before):.2f}** falls per 1000 cycles before, "
+            f"**{rate:.2f}** after ({words.told(fewer, '.2f')} fewer); the aim of at most 1 is "
+            f"{'reached' if rate <= 1.0 else 'missed'}, and {words.never_fell(after)} never fell."
         )
     for width in WIDTHS:
         cells = [f"{width:g}"]
         for kind in KINDS:
-            runs = runs_of(found, width=f"{width:g}", kind=kind)
-            cells.append(f"{falls_per_1000(runs):.1f}")
-            cells.append(f"{sum(column(runs, 'distance_m')) / len(runs):.3f}")
+            runs = words.runs_of(found, width=f"{width:g}", kind=kind)
+            cells.append(f"{words.falls_per_1000(runs):.1f}")
+            cells.append(f"{sum(words.column(runs, 'distance_m')) / len(runs):.3f}")
         lines.append(cells)
     return [
         "Why narrow bodies fall: feet that come down late. The swing reward pays for being off the "
@@ -131,7 +114,7 @@ def text(found: Found) -> list[str]:
         "written by hand puts its foot down before stance, and does not fall. Share of feet on the "
         "ground, of all legs and cycles:",
         "",
-        *grid(
+        *words.grid(
             ("body", "walker", *(f"{head}" for head, _ in MOMENTS)),
             [
                 (
@@ -157,13 +140,13 @@ def text(found: Found) -> list[str]:
         "",
         *aims,
         "",
-        *walkers([arm for arm in found["arms"] if "body" in arm["labels"]]),
+        *words.walkers([arm for arm in found["arms"] if "body" in arm["labels"]]),
         "",
-        WALKERS_NOTE,
+        words.WALKERS_NOTE,
         "",
         "Ever narrower hips in a body of 1.2 m; falls per 1000 cycles, and distance a cycle, m:",
         "",
-        *grid(
+        *words.grid(
             (
                 "half width, m",
                 *(f"{head}, {kind}" for kind in KINDS for head in ("falls", "distance")),
@@ -180,9 +163,11 @@ def draw(found: Found, file: Path) -> None:
         for axis, name in zip(axes[0], (plots.FALLS, plots.WAY), strict=False):
             each = []
             for width in WIDTHS:
-                runs = runs_of(found, width=f"{width:g}", kind=kind)
+                runs = words.runs_of(found, width=f"{width:g}", kind=kind)
                 each.append(
-                    falls_rates(runs) if name == plots.FALLS else column(runs, "distance_m")
+                    words.column(runs, words.FALL_RATE)
+                    if name == plots.FALLS
+                    else words.column(runs, "distance_m")
                 )
             means = [sum(values) / len(values) for values in each]
             axis.plot(WIDTHS, means, "-", color=COLOURS[n], lw=1.6, label=kind)

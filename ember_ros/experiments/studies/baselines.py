@@ -4,26 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ember_ros.experiments import plots, stats
+from ember_ros.experiments import plots, stats, words
 from ember_ros.experiments.study import (
     LEARNERS,
-    WALKERS_NOTE,
     Arm,
-    Found,
     Size,
     Study,
-    column,
     company,
-    falls_rates,
-    grid,
-    runs_of,
-    told,
     trained,
     trained_arm,
-    walkers,
     walks,
 )
 from ember_ros.experiments.trial import CENTRAL
+from ember_ros.experiments.words import Found
 from ember_ros.params import Params
 from leg_node.state import Partition
 
@@ -53,39 +46,39 @@ def text(found: Found) -> list[str]:
     for body in BODIES:
         for learner in LEARNERS:
             learning, frozen = (
-                runs_of(found, body=body, walker=walker, learner=learner)
+                words.runs_of(found, body=body, walker=walker, learner=learner)
                 for walker in ("trained table", "trained, frozen")
             )
-            falls = stats.difference(falls_rates(frozen), falls_rates(learning))
-            reward = stats.difference(column(learning, "reward"), column(frozen, "reward"))
-            roll = stats.difference(column(frozen, "roll_sd_rad"), column(learning, "roll_sd_rad"))
+            falls = words.more(frozen, learning, words.FALL_RATE)
+            reward = words.more(learning, frozen, "reward")
+            roll = words.more(frozen, learning, "roll_sd_rad")
             lines.append(
                 (
                     body,
                     learner,
-                    told(falls, ".2f"),
+                    words.told(falls, ".2f"),
                     stats.verdict(falls, claimed=1),
-                    told(reward, ".4f"),
+                    words.told(reward, ".4f"),
                     stats.verdict(reward, claimed=1),
-                    told(roll, ".4f"),
+                    words.told(roll, ".4f"),
                     stats.verdict(roll, claimed=1),
                 )
             )
-    central = runs_of(found, **CENTRAL_LABELS)
-    random = runs_of(found, body="reference", walker="random knee")
-    empty = runs_of(found, body="reference", walker="empty table", learner="plain")
-    against = stats.difference(falls_rates(central), falls_rates(random))
-    modular = stats.difference(falls_rates(central), falls_rates(empty))
+    central = words.runs_of(found, **CENTRAL_LABELS)
+    random = words.runs_of(found, body="reference", walker="random knee")
+    empty = words.runs_of(found, body="reference", walker="empty table", learner="plain")
+    against = words.more(central, random, words.FALL_RATE)
+    modular = words.more(central, empty, words.FALL_RATE)
     states = Partition(Params()).size
     actions = len(Params().leg.knee_speeds)
     return [
-        *walkers(found["arms"]),
+        *words.walkers(found["arms"]),
         "",
-        WALKERS_NOTE,
+        words.WALKERS_NOTE,
         "",
         "Does learning in situ help? Seed by seed, a learning walker against a frozen one:",
         "",
-        *grid(
+        *words.grid(
             (
                 "body",
                 "learner",
@@ -105,8 +98,8 @@ def text(found: Found) -> list[str]:
         "touch the ground), 3.4 million cells, and learns by the plain rule from the mean of the "
         "legs' rewards. In the same budget it makes at most one update a tick, "
         f"{32 * central[0]['cycles']} in all, so that most of its cells are never tried: it falls "
-        f"{told(against, '.1f')} times per 1000 cycles more than a random knee, and "
-        f"{told(modular, '.1f')} more than four plain legs with one empty table.",
+        f"{words.told(against, '.1f')} times per 1000 cycles more than a random knee, and "
+        f"{words.told(modular, '.1f')} more than four plain legs with one empty table.",
     ]
 
 
@@ -119,9 +112,13 @@ def draw(found: Found, file: Path) -> None:
     } | {"random knee": {"walker": "random knee"}, "scripted knee": {"walker": "scripted knee"}}
     groups = {body: {"body": body} for body in BODIES}
     quantities = plots.fall_rates_and(found, kinds, groups)
-    central = runs_of(found, **CENTRAL_LABELS)
-    quantities[plots.FALLS]["central,\nreference"] = {"random knee": falls_rates(central)}
-    quantities[plots.WAY]["central,\nreference"] = {"random knee": column(central, "distance_m")}
+    central = words.runs_of(found, **CENTRAL_LABELS)
+    quantities[plots.FALLS]["central,\nreference"] = {
+        "random knee": words.column(central, words.FALL_RATE)
+    }
+    quantities[plots.WAY]["central,\nreference"] = {
+        "random knee": words.column(central, "distance_m")
+    }
     plots.bodies(file, quantities, log=[plots.FALLS])
 
 

@@ -7,26 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from ember_ros.experiments import plots, stats
+from ember_ros.experiments import plots, stats, words
 from ember_ros.experiments.study import (
     BODIES,
     LEARNERS,
-    WALKERS_NOTE,
     Arm,
-    Found,
     Size,
     Study,
     company,
-    falls_rates,
-    grid,
-    runs_of,
-    spread,
-    told,
     trained_arm,
-    walkers,
     walks,
 )
 from ember_ros.experiments.trial import Outcome
+from ember_ros.experiments.words import Found
 
 NEVER = 1_000_000
 """Ticks between syncs that never come: every leg learns on its own copy."""
@@ -93,22 +86,22 @@ def text(found: Found) -> list[str]:
             ratio = [private / shared for shared, private in zip(*known, strict=True)]
             late = sum(t is None for t in times[1])
             one, four = (
-                runs_of(found, body=body, walker=tables, learner=learner) for tables in TABLES
+                words.runs_of(found, body=body, walker=tables, learner=learner) for tables in TABLES
             )
-            falls = stats.difference(falls_rates(four), falls_rates(one))
+            falls = words.more(four, one, words.FALL_RATE)
             differ = [run["legs_differ"] for run in four if run["legs_differ"] is not None]
             lines.append(
                 (
                     body,
                     learner,
                     f"{found['curves'][f'{key}/level']:.2f}",
-                    spread(known[0], ".0f"),
-                    spread(known[1], ".0f") + (f"; {late} never" if late else ""),
-                    spread(ratio, ".1f"),
+                    words.spread(known[0], ".0f"),
+                    words.spread(known[1], ".0f") + (f"; {late} never" if late else ""),
+                    words.spread(ratio, ".1f"),
                     stats.verdict(sooner, claimed=1),
-                    told(falls, ".1f"),
+                    words.told(falls, ".1f"),
                     stats.verdict(falls, claimed=1),
-                    spread(differ, ".0%") if differ else "-",
+                    words.spread(differ, ".0%") if differ else "-",
                 )
             )
             times_as = stats.interval(ratio)
@@ -127,7 +120,7 @@ def text(found: Found) -> list[str]:
     return [
         "Legs that know nothing, on the body, with one table and with one each:",
         "",
-        *grid(
+        *words.grid(
             (
                 "body",
                 "learner",
@@ -150,9 +143,9 @@ def text(found: Found) -> list[str]:
         "",
         *claims,
         "",
-        *walkers(found["arms"]),
+        *words.walkers(found["arms"]),
         "",
-        WALKERS_NOTE,
+        words.WALKERS_NOTE,
     ]
 
 
@@ -168,8 +161,8 @@ def draw(found: Found, file: Path) -> None:
                 kind = f"{name}, {learner}"
                 each = found["curves"][f"{body}/{learner}/{tables}"]
                 times.setdefault(body, {})[kind] = [budget if t is None else t for t in each]
-                runs = runs_of(found, body=body, walker=tables, learner=learner)
-                falls.setdefault(body, {})[kind] = falls_rates(runs)
+                runs = words.runs_of(found, body=body, walker=tables, learner=learner)
+                falls.setdefault(body, {})[kind] = words.column(runs, words.FALL_RATE)
     label = "cycles to the reward"
     plots.bodies(file, {label: times, plots.FALLS: falls}, log=[plots.FALLS])
 

@@ -7,23 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ember_ros.experiments import stats
-from ember_ros.experiments.study import (
-    WALKERS_NOTE,
-    Arm,
-    Found,
-    Size,
-    Study,
-    column,
-    company,
-    grid,
-    runs_of,
-    spread,
-    trained,
-    walkers,
-    walks,
-)
+from ember_ros.experiments import stats, words
+from ember_ros.experiments.study import Arm, Size, Study, company, trained, walks
 from ember_ros.experiments.trial import Outcome
+from ember_ros.experiments.words import Found
 from ember_ros.report.figures import AMBER, BLUE, GREY, INK, canvas, save
 
 HELD_OUT = 100
@@ -95,10 +82,10 @@ def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
 
 def text(found: Found) -> list[str]:
     """Say what came of it."""
-    scripted = runs_of(found, walker="scripted knee")[0]["distance_m"]
+    scripted = words.runs_of(found, walker="scripted knee")[0]["distance_m"]
     lines, smoother, told = [], [], []
     for learner, seeds in GROUPS:
-        runs = runs_of(found, learner=learner, seeds=seeds)
+        runs = words.runs_of(found, learner=learner, seeds=seeds)
         firsts = [str(run["first_fall"] + 1) for run in runs if run["first_fall"] is not None]
         cells = [learner, seeds, f"{runs[0]['seed']} to {runs[-1]['seed']}"]
         cells += [f"{sum(run['falls'] == 0 for run in runs)} of {len(runs)}"]
@@ -116,33 +103,33 @@ def text(found: Found) -> list[str]:
                     learner,
                     seeds,
                     angle,
-                    spread([a for a, _ in pairs], ".4f"),
-                    spread([b for _, b in pairs], ".4f"),
+                    words.spread([a for a, _ in pairs], ".4f"),
+                    words.spread([b for _, b in pairs], ".4f"),
                     f"{sum(b < a for a, b in pairs)} of {len(pairs)}",
                     f"{change.mean:+.4f} [{change.low:+.4f}, {change.high:+.4f}]",
                     stats.verdict(change, claimed=-1),
                 )
             )
-        mean = sum(column(runs, "distance_m")) / len(runs)
+        mean = sum(words.column(runs, "distance_m")) / len(runs)
         forward = all(run["distance_m"] > 0.0 for run in runs)
         told.append(
             (
                 learner,
                 seeds,
                 f"{mean:.3f} ({mean / scripted:.0%})",
-                spread(column(runs, "slip_m")),
-                spread(column(runs, "peak_force_n"), ".0f"),
-                spread(column(runs, "contact_share"), ".2f"),
-                spread(column(runs, "duty_factor"), ".2f"),
-                spread(column(runs, "cost_of_transport"), ".2f") if forward else "-",
-                spread(column(runs, "turn_rad"), ".4f"),
-                spread(column(runs, "drift_rad"), ".4f"),
+                words.spread(words.column(runs, "slip_m")),
+                words.spread(words.column(runs, "peak_force_n"), ".0f"),
+                words.spread(words.column(runs, "contact_share"), ".2f"),
+                words.spread(words.column(runs, "duty_factor"), ".2f"),
+                words.spread(words.column(runs, "cost_of_transport"), ".2f") if forward else "-",
+                words.spread(words.column(runs, "turn_rad"), ".4f"),
+                words.spread(words.column(runs, "drift_rad"), ".4f"),
             )
         )
     return [
         "Steps to failure:",
         "",
-        *grid(
+        *words.grid(
             (
                 "learner",
                 "seeds",
@@ -162,7 +149,7 @@ def text(found: Found) -> list[str]:
         "Figure 6, does it become steadier? Standard deviation over all ticks of the first and of "
         "the last 500 steps:",
         "",
-        *grid(
+        *words.grid(
             (
                 "learner",
                 "seeds",
@@ -179,7 +166,7 @@ def text(found: Found) -> list[str]:
         "How they walk, over the last 500 steps; distance: mean over all steps and seeds, and its "
         f"share of the scripted knee's {scripted:.3f} m:",
         "",
-        *grid(
+        *words.grid(
             (
                 "learner",
                 "seeds",
@@ -200,9 +187,9 @@ def text(found: Found) -> list[str]:
         "",
         "Beside them, in the same body:",
         "",
-        *walkers([arm for arm in found["arms"] if "seeds" not in arm["labels"]]),
+        *words.walkers([arm for arm in found["arms"] if "seeds" not in arm["labels"]]),
         "",
-        WALKERS_NOTE,
+        words.WALKERS_NOTE,
     ]
 
 
@@ -253,9 +240,9 @@ def draw(found: Found, file: Path) -> None:
     axis.legend(frameon=False, loc="center right")
     axis = axes[3, 1]
     for n, (learner, seeds) in enumerate(GROUPS):
-        values = column(runs_of(found, learner=learner, seeds=seeds), "distance_m")
+        values = words.column(words.runs_of(found, learner=learner, seeds=seeds), "distance_m")
         axis.plot([n] * len(values), values, "o", color=(BLUE, GREY, AMBER)[n], alpha=0.6)
-    scripted = runs_of(found, walker="scripted knee")[0]["distance_m"]
+    scripted = words.runs_of(found, walker="scripted knee")[0]["distance_m"]
     axis.axhline(scripted, color=INK, lw=1.0, ls="--")
     axis.set_xticks(range(len(GROUPS)), [f"{learner},\n{seeds}" for learner, seeds in GROUPS])
     axis.set_xlim(-0.5, len(GROUPS) - 0.5)

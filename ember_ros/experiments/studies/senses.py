@@ -5,26 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ember_ros.experiments import plots, stats
-from ember_ros.experiments.fig5 import HEIGHTS, height_arm
-from ember_ros.experiments.study import (
-    LEARNERS,
-    WALKERS_NOTE,
-    Arm,
-    Found,
-    Size,
-    Study,
-    column,
-    company,
-    falls_rates,
-    grid,
-    runs_of,
-    spread,
-    told,
-    trained,
-    walkers,
-    walks,
-)
+from ember_ros.experiments import plots, stats, words
+from ember_ros.experiments.studies.fig5 import HEIGHTS, height_arm
+from ember_ros.experiments.study import LEARNERS, Arm, Size, Study, company, trained, walks
+from ember_ros.experiments.words import Found
 from ember_ros.report.figures import canvas, save
 
 BODIES = ("reference",)
@@ -71,34 +55,36 @@ def text(found: Found) -> list[str]:
     """Say what came of it."""
     lines, coverage = [], []
     for body in BODIES:
-        whole = runs_of(found, body=body, walker="trained, all senses")
+        whole = words.runs_of(found, body=body, walker="trained, all senses")
         for name in list(WITHOUT)[1:]:
-            less = runs_of(found, body=body, walker=f"trained, {name}")
-            reward = stats.difference(column(whole, "reward"), column(less, "reward"))
-            falls = stats.difference(falls_rates(less), falls_rates(whole))
+            less = words.runs_of(found, body=body, walker=f"trained, {name}")
+            reward = words.more(whole, less, "reward")
+            falls = words.more(less, whole, words.FALL_RATE)
             lines.append(
                 (
                     body,
                     name,
-                    told(reward),
+                    words.told(reward),
                     stats.verdict(reward, claimed=1),
-                    told(falls, ".2f"),
+                    words.told(falls, ".2f"),
                     stats.verdict(falls, claimed=1),
                 )
             )
     for learner in LEARNERS:
         for height in HEIGHTS:
-            trainer = runs_of(found, coverage="trainer", learner=learner, height=height)
-            cells = [learner, height, spread(column(trainer, "states_visited"), ".0f")]
+            trainer = words.runs_of(found, coverage="trainer", learner=learner, height=height)
+            cells = [learner, height, words.spread(words.column(trainer, "states_visited"), ".0f")]
             for body in BODIES:
-                runs = runs_of(found, coverage=body, learner=learner, height=height)
-                cells.append(spread(column(runs, "states_visited"), ".0f"))
-                cells.append(spread([100 * v for v in column(runs, "unseen_share")], ".2f"))
+                runs = words.runs_of(found, coverage=body, learner=learner, height=height)
+                cells.append(words.spread(words.column(runs, "states_visited"), ".0f"))
+                cells.append(
+                    words.spread([100 * v for v in words.column(runs, "unseen_share")], ".2f")
+                )
             coverage.append(cells)
     return [
         "Trained and walked without one sense, seed by seed against all senses:",
         "",
-        *grid(
+        *words.grid(
             (
                 "body",
                 "left out",
@@ -110,13 +96,13 @@ def text(found: Found) -> list[str]:
             lines,
         ),
         "",
-        *walkers([arm for arm in found["arms"] if "body" in arm["labels"]]),
+        *words.walkers([arm for arm in found["arms"] if "body" in arm["labels"]]),
         "",
-        WALKERS_NOTE,
+        words.WALKERS_NOTE,
         "",
         "What a walker meets that its trainer never saw; of 4352 states:",
         "",
-        *grid(
+        *words.grid(
             (
                 "learner",
                 "stop",
@@ -142,15 +128,15 @@ def draw(found: Found, file: Path) -> None:
     unseen: dict[str, dict[str, list[float]]] = {}
     for body in BODIES:
         for name in WITHOUT:
-            runs = runs_of(found, body=body, walker=f"trained, {name}")
-            reward.setdefault(body, {})[name] = column(runs, "reward")
-            falls.setdefault(body, {})[name] = falls_rates(runs)
+            runs = words.runs_of(found, body=body, walker=f"trained, {name}")
+            reward.setdefault(body, {})[name] = words.column(runs, "reward")
+            falls.setdefault(body, {})[name] = words.column(runs, words.FALL_RATE)
     for learner in LEARNERS:
         for height in HEIGHTS:
             for body in BODIES:
-                runs = runs_of(found, coverage=body, learner=learner, height=height)
+                runs = words.runs_of(found, coverage=body, learner=learner, height=height)
                 group = unseen.setdefault(f"{learner},\n{height} stop", {})
-                group[body] = [100 * value for value in column(runs, "unseen_share")]
+                group[body] = [100 * value for value in words.column(runs, "unseen_share")]
     figure, axes = canvas(3, 1, height=2.7)
     for axis, groups, label in zip(
         axes[:, 0],

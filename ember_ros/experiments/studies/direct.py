@@ -7,25 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ember_ros.experiments import plots, stats
-from ember_ros.experiments.study import (
-    BODIES,
-    LEARNERS,
-    WALKERS_NOTE,
-    Arm,
-    Found,
-    Size,
-    Study,
-    column,
-    company,
-    falls_rates,
-    grid,
-    runs_of,
-    told,
-    trained_arm,
-    walkers,
-)
+from ember_ros.experiments import plots, stats, words
+from ember_ros.experiments.study import BODIES, LEARNERS, Arm, Size, Study, company, trained_arm
 from ember_ros.experiments.trial import Outcome
+from ember_ros.experiments.words import Found
 
 QUARTERS = 4
 STARTS = ("trained table", "empty table")
@@ -57,11 +42,11 @@ def text(found: Found) -> list[str]:
     for body in BODIES:
         for learner in LEARNERS:
             first, empty = (
-                runs_of(found, body=body, walker=start, learner=learner) for start in STARTS
+                words.runs_of(found, body=body, walker=start, learner=learner) for start in STARTS
             )
-            random = runs_of(found, body=body, walker="random knee")
-            falls = stats.difference(falls_rates(empty), falls_rates(first))
-            reward = stats.difference(column(first, "reward"), column(empty, "reward"))
+            random = words.runs_of(found, body=body, walker="random knee")
+            falls = words.more(empty, first, words.FALL_RATE)
+            reward = words.more(first, empty, "reward")
             quarter = [
                 np.sum(found["curves"][f"{body}/{name}"], axis=0).tolist()
                 for name in (f"empty table/{learner}", f"trained table/{learner}")
@@ -74,33 +59,33 @@ def text(found: Found) -> list[str]:
                 (
                     body,
                     learner,
-                    told(falls, ".1f"),
+                    words.told(falls, ".1f"),
                     stats.verdict(falls, claimed=1),
-                    told(reward),
+                    words.told(reward),
                     stats.verdict(reward, claimed=1),
                     ", ".join(map(str, quarter[0])),
                     ", ".join(map(str, quarter[1])),
                 )
             )
             better = stats.difference(last[1], last[0])
-            way = stats.difference(column(empty, "distance_m"), column(random, "distance_m"))
+            way = words.more(empty, random, "distance_m")
             share = sum(last[0]) / max(1, sum(last[1]))
             learns = stats.verdict(better, claimed=1) == stats.verdict(way, claimed=1) == "holds"
             claims.append(
                 f"- {body}, `{learner}`: that legs which know nothing cannot learn to walk here "
                 f"**{'fails' if learns else 'holds' if better.high < 0 else 'unclear'}**: in the "
                 f"last quarter they fall {share:.0%} as often as a random knee, and they go "
-                f"{told(way)} m further a cycle than it does."
+                f"{words.told(way)} m further a cycle than it does."
             )
     return [
-        *walkers(found["arms"]),
+        *words.walkers(found["arms"]),
         "",
-        WALKERS_NOTE,
+        words.WALKERS_NOTE,
         "",
         "Empty against trained table, the same rule, seeds and budget; falls per quarter of the "
         "budget are sums over seeds:",
         "",
-        *grid(
+        *words.grid(
             (
                 "body",
                 "learner",

@@ -1,0 +1,1 @@
+"""One experiment a file: its arms, its curves, its text and its figure."""
