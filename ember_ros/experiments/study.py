@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ember_ros.experiments.trial import Outcome, Trial, outcome
-from ember_ros.experiments.words import Found
+from ember_ros.experiments.words import Claim, Found, grid
 from ember_ros.params import Params, replace
 from ember_ros.params_file import load_params
 from ember_ros.versions import versions
@@ -52,6 +52,11 @@ class Arm(NamedTuple):
     trials: list[Trial]
 
 
+def nothing(found: Found) -> list[Claim]:
+    """Return no claims: of what only shows, and answers nothing that was said before."""
+    return []
+
+
 @dataclass(frozen=True)
 class Study:
     """An experiment."""
@@ -65,6 +70,8 @@ class Study:
     """Lines of Markdown."""
     draw: Callable[[Found, Path], None]
     curves: Callable[[list[tuple[Arm, list[Outcome]]]], dict[str, Any]] = lambda arms: {}
+    claims: Callable[[Found], list[Claim]] = nothing
+    """What is claimed, and whether it holds."""
 
 
 # -- what trials are made of ------------------------------------------------------------------
@@ -194,11 +201,20 @@ def section(study: Study, found: Found, heading: str, figures: str = "") -> list
     about = found["about"]
     total = sum(run["cpu_s"] for arm in found["arms"] for run in arm["runs"])
     count = sum(len(arm["runs"]) for arm in found["arms"])
+    claims = study.claims(found)
+    verdicts = [
+        *grid(
+            ("claim", "where", "seed by seed, mean [95 %]", "verdict"),
+            [(each.says, each.where, each.here, f"**{each.word}**") for each in claims],
+        ),
+        "",
+    ]
     return [
         f"{heading} {study.title}",
         "",
         f"**The paper:** {study.paper}",
         "",
+        *(verdicts if claims else []),
         *study.text(found),
         "",
         f"![{study.title}]({figures}{study.name}.png)",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from ember_ros.experiments import stats
 
@@ -11,6 +11,19 @@ Found = dict[str, Any]
 """An experiment's JSON value: ``name``, ``about``, ``arms`` (``labels``, ``runs``), ``curves``."""
 Run = dict[str, Any]
 """One trial's line: ``seed``, ``trial`` and its measures."""
+
+
+class Claim(NamedTuple):
+    """Something that is claimed, and what came out."""
+
+    says: str
+    """What is claimed."""
+    where: str
+    """Learner and body."""
+    here: str
+    """The figures."""
+    word: str
+    """``holds``, ``fails`` or ``unclear``."""
 
 
 def runs_of(found: Found, **labels: str) -> list[Run]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from ember_ros.experiments import plots, stats, words
 from ember_ros.experiments.studies.fig5 import HEIGHTS, height_arm
 from ember_ros.experiments.study import BODIES, LEARNERS, Arm, Size, Study, company, walks
-from ember_ros.experiments.words import Found
+from ember_ros.experiments.words import Claim, Found
 
 
 def arms(size: Size) -> list[Arm]:
@@ -28,8 +28,16 @@ def arms(size: Size) -> list[Arm]:
     return found
 
 
-def text(found: Found) -> list[str]:
-    """Say what came of it."""
+MEASURES = (
+    ("the simpler training falls less", words.FALL_RATE, ".1f", "falls per 1000", 1),
+    ("the simpler training is steadier", "roll_sd_rad", ".3f", "rad of roll, SD,", 1),
+    ("the simpler training goes further", "distance_m", ".3f", "m a cycle", -1),
+)
+"""What is claimed, of which measure, its form and unit, and the sign of it if modulated."""
+
+
+def claims(found: Found) -> list[Claim]:
+    """Say which training walks better."""
     lines = []
     for body in BODIES:
         for learner in LEARNERS:
@@ -37,42 +45,17 @@ def text(found: Found) -> list[str]:
                 words.runs_of(found, body=body, walker=f"trained, {height} stop", learner=learner)
                 for height in HEIGHTS
             )
-            falls = words.more(modulated, fixed, words.FALL_RATE)
-            roll = words.more(modulated, fixed, "roll_sd_rad")
-            way = words.more(fixed, modulated, "distance_m")
-            lines.append(
-                (
-                    body,
-                    learner,
-                    words.told(falls, ".2f"),
-                    stats.verdict(falls, claimed=1),
-                    words.told(roll, ".4f"),
-                    stats.verdict(roll, claimed=1),
-                    words.told(way),
-                    stats.verdict(way, claimed=1),
-                )
-            )
-    return [
-        "The claim is that the simpler training walks better. Seed by seed:",
-        "",
-        *words.grid(
-            (
-                "body",
-                "learner",
-                "falls per 1000 more if modulated",
-                "fixed falls less",
-                "SD of roll more if modulated, rad",
-                "fixed is steadier",
-                "distance more if fixed, m",
-                "fixed goes further",
-            ),
-            lines,
-        ),
-        "",
-        *words.walkers(found["arms"]),
-        "",
-        words.WALKERS_NOTE,
-    ]
+            for says, name, form, unit, sign in MEASURES:
+                more = words.more(modulated, fixed, name)
+                told = f"{words.told(more, form)} {unit} if modulated"
+                word = stats.verdict(more, claimed=sign)
+                lines.append(Claim(says, f"`{learner}`, {body}", told, word))
+    return lines
+
+
+def text(found: Found) -> list[str]:
+    """Say what came of it."""
+    return [*words.walkers(found["arms"]), "", words.WALKERS_NOTE]
 
 
 def draw(found: Found, file: Path) -> None:
@@ -94,4 +77,5 @@ STUDY = Study(
     arms,
     text,
     draw,
+    claims=claims,
 )
