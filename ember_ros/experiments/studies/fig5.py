@@ -134,9 +134,8 @@ def text(found: Found) -> list[str]:
         *words.grid(heads, lines),
         "",
         "Medians over seeds with quartiles; at the end: the last 500 steps. A curve settles where "
-        f"its mean over {MEAN} steps has first gone {SETTLED:.0%} of its way. `ember` explores at "
-        "first and takes nothing but random actions: its curve rises later, and by less on the "
-        "trainer; what it is for is the walker.",
+        f"its mean over {MEAN} steps has first gone {SETTLED:.0%} of its way. `ember` begins with "
+        "random actions alone, so its curve rises later.",
     ]
 
 
