@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from ember_ros.experiments.study import Arm, Size, Study, company, trained, walk
 from ember_ros.experiments.trial import WINDOW, Outcome
 from ember_ros.experiments.words import Claim, Found
 from ember_ros.report.figures import AMBER, BLUE, GREY, INK, canvas, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 HELD_OUT = 100
 """The first of the seeds that nothing was tuned on."""
@@ -150,6 +154,29 @@ def gaits(found: Found) -> list[str]:
     return words.grid((*heads, *rest), lines)
 
 
+def compared(found: Found) -> list[str]:
+    """Return what there is to say where the one starts steadier than the other ends."""
+    ember, plain = (words.runs_of(found, learner=lr, seeds="tuned on") for lr in ("ember", "plain"))
+    pairs = [
+        (
+            stats.quartiles(words.column(ember, f"{angle}_sd_first_rad"))[1],
+            stats.quartiles(words.column(plain, f"{angle}_sd_last_rad"))[1],
+        )
+        for angle in ANGLES
+    ]
+    if any(first >= last for first, last in pairs):
+        return []
+    shares = " and ".join(
+        f"{first / last:.0%} of it in {angle}"
+        for angle, (first, last) in zip(ANGLES, pairs, strict=True)
+    )
+    return [
+        f"`ember` starts steadier than `plain` ends after all its steps ({shares}), and explores "
+        "nothing on the body: there is little left for it to learn there, and its curve is flat.",
+        "",
+    ]
+
+
 def text(found: Found) -> list[str]:
     """Say what came of it."""
     steady = []
@@ -176,6 +203,7 @@ def text(found: Found) -> list[str]:
             ("learner", "seeds", *(f"{angle}, {end}" for angle in ANGLES for end in ends)), steady
         ),
         "",
+        *compared(found),
         "How they walk; distance: mean over all steps and seeds, and its share of the scripted "
         f"knee's; the others: medians over seeds of the last {WINDOW} steps:",
         "",
@@ -193,62 +221,80 @@ def text(found: Found) -> list[str]:
 
 
 def draw(found: Found, file: Path) -> None:
-    """Draw figure 6, figure 7 and the Kaplan-Meier curve."""
-    figure, axes = canvas(4, 2, width=11.0, height=2.9)
-    names = ("ember, tuned on", "plain, tuned on")
-    for down, angle in enumerate(ANGLES):
-        for across, (name, colour) in enumerate(zip(names, (BLUE, AMBER), strict=True)):
-            curve, axis = found["curves"][f"{name}/{angle}"], axes[down, across]
-            steps = curve["steps"]
-            axis.fill_between(steps, curve["low"], curve["high"], color=colour, alpha=0.25, lw=0)
-            axis.plot(steps, curve["median"], color=colour, lw=1.2, label="median, quartiles")
-            axis.plot(steps, curve["trend"], color=INK, lw=1.4, ls="--", label="4th order trend")
-            axis.set_ylim(bottom=0.0)
-            axis.set_ylabel(f"SD of {angle}, rad")
-            axis.set_xlabel("steps")
-            if down == 0:
-                axis.set_title(f"Figure 6: {name}", loc="left", color=INK)
+    """Draw figure 6, figure 7, the Kaplan-Meier curve and the distances."""
+    figure, axes = canvas(5, 2, width=11.0, height=2.7)
+    for across, (learner, colour) in enumerate((("ember", BLUE), ("plain", AMBER))):
+        _figure_6(axes[:2, across], found, learner, colour)
+        _figure_7(axes[2:4, across], found, learner)
+    for axis, other in ((axes[0, 0], axes[0, 1]), (axes[1, 0], axes[1, 1])):
+        axis.sharey(other)  # what is steadier looks it
+    for axis in (axes[2, 0], axes[3, 0], axes[3, 1]):
+        axis.sharey(axes[2, 1])
     axes[0, 0].legend(frameon=False)
-    for down, (part, name) in enumerate(enumerate(("first", "last")), 2):
-        axis = axes[down, 0]
-        shown = np.array(found["curves"]["ember, tuned on/traces"][part])
-        ticks = found["about"]["ticks"]
-        time = np.arange(len(shown)) / ticks
-        if name == "last":
-            time = time + found["about"]["walk"] - len(shown) / ticks
+    axes[2, 0].legend(frameon=False, ncols=2, loc="upper right")
+    _survival(axes[4, 0], found)
+    _distances(axes[4, 1], found)
+    save(figure, file)
+
+
+def _figure_6(axes: Sequence[Axes], found: Found, learner: str, colour: str) -> None:
+    for axis, angle in zip(axes, ANGLES, strict=True):
+        curve = found["curves"][f"{learner}, tuned on/{angle}"]
+        steps = curve["steps"]
+        axis.fill_between(steps, curve["low"], curve["high"], color=colour, alpha=0.25, lw=0)
+        axis.plot(steps, curve["median"], color=colour, lw=1.2, label="median, quartiles")
+        axis.plot(steps, curve["trend"], color=INK, lw=1.4, ls="--", label="4th order trend")
+        axis.set_ylim(bottom=0.0)
+        axis.set_ylabel(f"SD of {angle}, rad")
+        axis.set_xlabel("steps")
+    axes[0].set_title(f"Figure 6: {learner}", loc="left", color=INK)
+
+
+def _figure_7(axes: Sequence[Axes], found: Found, learner: str) -> None:
+    about = found["about"]
+    for axis, end, each in zip(
+        axes, ("first", "last"), found["curves"][f"{learner}, tuned on/traces"], strict=True
+    ):
+        shown = np.array(each)
+        time = np.arange(len(shown)) / about["ticks"]
+        if end == "last":
+            time += about["walk"] - len(shown) / about["ticks"]
         axis.plot(time, shown[:, 0], color=BLUE, lw=1.2, label="roll")
         axis.plot(time, shown[:, 1], color=AMBER, lw=1.2, label="pitch")
         axis.set_ylabel("rad")
         axis.set_xlabel("steps")
-        axis.set_title(f"Figure 7: ember, seed 0, its {name} steps", loc="left", color=INK)
-    axes[2, 0].legend(frameon=False, ncols=2, loc="upper right")
-    axes[3, 0].sharey(axes[2, 0])
-    axis = axes[2, 1]
-    for (learner, seeds), colour in zip(GROUPS, (BLUE, GREY, AMBER), strict=True):
+        axis.set_title(f"Figure 7: {learner}, seed 0, its {end} steps", loc="left", color=INK)
+
+
+def _survival(axis: Axes, found: Found) -> None:
+    end = found["about"]["walk"]
+    for (learner, seeds), colour, style in zip(
+        GROUPS, (BLUE, GREY, AMBER), ("-", "--", "-"), strict=True
+    ):
         curve = found["curves"][f"{learner}, {seeds}/survival"]
-        end = found["about"]["walk"]
         steps = [*curve["steps"], end]
-        for key, style in (("share", {"lw": 1.8, "label": f"{learner}, {seeds}"}),):
-            axis.step(steps, [*curve[key], curve[key][-1]], where="post", color=colour, **style)
-        low, high = ([*curve[key], curve[key][-1]] for key in ("low", "high"))
+        share, low, high = ([*curve[key], curve[key][-1]] for key in ("share", "low", "high"))
+        label = f"{learner}, {seeds}"
+        axis.step(steps, share, style, where="post", color=colour, lw=1.8, label=label)
         axis.fill_between(steps, low, high, step="post", color=colour, alpha=0.15, lw=0)
-    axis.set_ylim(-0.02, 1.02)
+    axis.set_ylim(-0.02, 1.05)
     axis.set_xlabel("steps")
     axis.set_ylabel("share that never fell")
     axis.set_title("Steps to the first fall (Kaplan-Meier, 95 %)", loc="left", color=INK)
     axis.legend(frameon=False, loc="center right")
-    axis = axes[3, 1]
-    for n, (learner, seeds) in enumerate(GROUPS):
+
+
+def _distances(axis: Axes, found: Found) -> None:
+    for n, ((learner, seeds), colour) in enumerate(zip(GROUPS, (BLUE, GREY, AMBER), strict=True)):
         values = words.column(words.runs_of(found, learner=learner, seeds=seeds), "distance_m")
-        axis.plot([n] * len(values), values, "o", color=(BLUE, GREY, AMBER)[n], alpha=0.6)
+        axis.plot([n] * len(values), values, "o", color=colour, alpha=0.6)
     scripted = words.runs_of(found, walker="scripted knee")[0]["distance_m"]
     axis.axhline(scripted, color=INK, lw=1.0, ls="--")
     axis.set_xticks(range(len(GROUPS)), [f"{learner},\n{seeds}" for learner, seeds in GROUPS])
     axis.set_xlim(-0.5, len(GROUPS) - 0.5)
     axis.set_ylim(bottom=0.0)
-    axis.set_ylabel("distance a cycle, m")
+    axis.set_ylabel("distance a step, m")
     axis.set_title("Each walker's distance; dashed: the scripted knee", loc="left", color=INK)
-    save(figure, file)
 
 
 STUDY = Study(
