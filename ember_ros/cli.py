@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -421,6 +422,10 @@ def experiment(
     if name == RELEARN:
         _relearn(seeds or 5, cycles or relearn.CYCLES, walk_cycles or 300, out, trials, command)
         return
+    if find_spec("scipy") is None:  # said now, and not when all has been run
+        raise ParameterError(
+            "experiments need SciPy for their statistics: `pip install 'ember_ros[science]'`"
+        )
     size = Size(seeds or 10, cycles or 6000, walk_cycles or 7000)
     studies = list(STUDIES.values()) if name == ALL else [STUDIES[name]]
     needed = [trial for study in studies for arm in study.arms(size) for trial in arm.trials]
