@@ -113,12 +113,8 @@ def draw(found: Found, file: Path) -> None:
     groups = {body: {"body": body} for body in BODIES}
     quantities = plots.fall_rates_and(found, kinds, groups)
     central = words.runs_of(found, **CENTRAL_LABELS)
-    quantities[plots.FALLS]["central,\nreference"] = {
-        "random knee": words.column(central, words.FALL_RATE)
-    }
-    quantities[plots.WAY]["central,\nreference"] = {
-        "random knee": words.column(central, "distance_m")
-    }
+    for label, name in ((plots.FALLS, words.FALL_RATE), (plots.WAY, "distance_m")):
+        quantities[label]["reference"]["central learner"] = words.column(central, name)
     plots.bodies(file, quantities, log=[plots.FALLS])
 
 
