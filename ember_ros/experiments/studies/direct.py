@@ -97,10 +97,10 @@ def text(found: Found) -> list[str]:
                 cells.append(", ".join(map(str, falls.tolist())))
             lines.append(cells)
     return [
-        "Legs that know nothing are said to have learnt to walk where, in the last quarter of the "
-        f"budget, they fall at most {FALLS_LEFT:.0%} as often as a random knee, and have gone, over "
-        f"the whole of it, at least {WAY_GONE:.0%} of the scripted knee's way. Falls by quarter, "
-        "all seeds together:",
+        "Legs that know nothing are said to have learnt to walk where they fall, in the last "
+        f"quarter of the budget, at most {FALLS_LEFT:.0%} as often as a random knee, and have gone "
+        f"at least {WAY_GONE:.0%} of the scripted knee's way. Falls by quarter, all seeds "
+        "together:",
         "",
         *words.grid(("body", "learner", "empty table", "trained table"), lines),
         "",

@@ -73,15 +73,17 @@ def reached(values: Any, level: float) -> int | None:
     return int(np.argmax(over)) + window if over.any() else None
 
 
-def cycles_to(found: Found, body: str, learner: str) -> tuple[list[float], list[float], int]:
-    """Return the cycles that shared and private tables took, and how many private ones never did.
+def cycles_to(
+    found: Found, body: str, learner: str
+) -> tuple[list[float], list[float], tuple[int, int]]:
+    """Return the cycles that shared and private tables took, and how many of each never did.
 
     Who never reached the reward counts as the whole budget: it took longer still.
     """
     budget = found["arms"][0]["runs"][0]["cycles"]
     times = [found["curves"][f"{body}/{learner}/{tables}"] for tables in TABLES]
     shared, private = ([float(budget if t is None else t) for t in each] for each in times)
-    return shared, private, sum(t is None for t in times[1])
+    return shared, private, (times[0].count(None), times[1].count(None))
 
 
 def claims(found: Found) -> list[Claim]:
@@ -92,7 +94,10 @@ def claims(found: Found) -> list[Claim]:
             shared, private, never = cycles_to(found, body, learner)
             where = f"`{learner}`, {body}"
             ratio = stats.interval([b / a for a, b in zip(shared, private, strict=True)])
-            at_least = f"; at least, for {never} private ones never got there" if never else ""
+            late = [
+                f"{n} {kind}" for n, kind in zip(never, ("shared", "private"), strict=True) if n
+            ]
+            at_least = f"; {' and '.join(late)} never got there" if late else ""
             word = "unclear"
             if ratio.n > 1 and not ratio.low <= PAPER <= ratio.high:
                 word = "fails" if ratio.high < PAPER else "holds, and more"
@@ -141,8 +146,10 @@ def text(found: Found) -> list[str]:
                     body,
                     learner,
                     f"{found['curves'][f'{body}/{learner}/level']:.2f}",
-                    words.spread(shared, ".0f"),
-                    words.spread(private, ".0f") + (f"; {never} never" if never else ""),
+                    *(
+                        words.spread(each, ".0f") + (f"; {n} never" if n else "")
+                        for each, n in zip((shared, private), never, strict=True)
+                    ),
                     words.spread(differ, ".0%") if differ else "-",
                 )
             )
