@@ -354,8 +354,8 @@ def relearn_command(
     changes = {name.replace("__", "."): value for name, value in numbers.items()}
     changes |= {f"{stage}.alpha_floor": alpha, f"{stage}.gamma": gamma}
     rate = base.walk.rate if stage == "walk" else base.train.rate
-    if alpha is not None and alpha > rate.ceiling:  # a constant rate stays one
-        changes[f"{stage}.alpha_ceiling"] = alpha
+    if alpha is not None and (alpha > rate.ceiling or rate.floor == rate.ceiling):
+        changes[f"{stage}.alpha_ceiling"] = alpha  # so that a constant rate stays one
     if bins is not None:
         changes["state.hip_bins"] = bins
     changes = {name: value for name, value in changes.items() if value is not None}

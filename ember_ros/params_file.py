@@ -35,7 +35,7 @@ def load_params(*files: Path | str) -> Params:
     params = Params()
     for file in map(Path, files):
         own = CONFIG / f"{file}.yaml"
-        named = not file.exists() and str(file) in config_names()
+        named = not file.is_file() and str(file) in config_names()
         params = _load(own if named else file, params)
     return params
 

@@ -69,8 +69,8 @@ class RecordedWorld:
         self._due = time.monotonic()
         self._last: Tick | None = None
         self._next: Tick | None = None
-        self.over = False
         self.work = 0.0  # nobody recorded it
+        self.over = False
         """Whether the record has ended."""
         self._advance()
         if self.over:

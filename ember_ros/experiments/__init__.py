@@ -1,1 +1,1 @@
-"""Experiments: one command each, seeds and all; results as JSON and as a page of figures."""
+"""Experiments: one command each, seeds and all; results as JSON and CSV, a figure and a page."""

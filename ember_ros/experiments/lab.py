@@ -8,6 +8,8 @@ from __future__ import annotations
 import concurrent.futures
 import multiprocessing
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from multiprocessing.synchronize import Event
@@ -24,8 +26,19 @@ _stopped: Event | None = None
 
 
 def _begin(stopped: Event) -> None:
+    """Make a process a worker: it stops when it is told, and ends when its parent is gone."""
     global _stopped
     _stopped = stopped
+    # The terminal's Ctrl-C reaches workers too; it is the parent that tells them what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)  # what waits for a queue of a dead parent waits for ever
 
 
 def _go_on() -> bool:

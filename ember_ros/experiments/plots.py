@@ -12,7 +12,7 @@ from ember_ros.report.figures import AMBER, BLUE, GREY, INK, canvas, save
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = (BLUE, AMBER, "#4d8f5b", "#8c5a9e", GREY, INK)
+COLOURS = (BLUE, AMBER, "#4d8f5b", "#8c5a9e", GREY, INK, "#c2476a")
 
 
 def strips(axis: Axes, groups: Mapping[str, Mapping[str, Sequence[float]]], label: str) -> None:

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ember_ros.experiments.trial import Outcome, Trial, outcome
-from ember_ros.experiments.words import Claim, Found, grid
+from ember_ros.experiments.trial import WINDOW, Outcome, Trial, outcome
+from ember_ros.experiments.words import Claim, Found, Run, grid
 from ember_ros.params import Params, replace
-from ember_ros.params_file import load_params
+from ember_ros.params_file import CONFIG, load_params
 from ember_ros.versions import versions
 
 BODIES = ("reference", "easy", "short", "narrow")
@@ -79,7 +79,8 @@ class Study:
 
 def numbers(learner: str = "ember", body: str = "reference", **changes: Any) -> Params:
     """Return the parameters of a learner in a body; ``__`` stands for the dot in names."""
-    files = [name for name in (learner, body) if name != "ember"]  # ember's are the defaults
+    # Not by name: a file of the user's that is called so would be taken.
+    files = [CONFIG / f"{name}.yaml" for name in (learner, body) if name != "ember"]
     return replace(load_params(*files), {k.replace("__", "."): v for k, v in changes.items()})
 
 
@@ -156,7 +157,7 @@ def collect(study: Study, size: Size, command: str, folder: Path) -> Found:
             {
                 "labels": arm.labels,
                 "runs": [
-                    {"seed": trial.seed, "trial": trial.key, **each.measures}
+                    _run(trial, each, folder)
                     for trial, each in zip(arm.trials, outcomes, strict=True)
                 ],
             }
@@ -164,6 +165,29 @@ def collect(study: Study, size: Size, command: str, folder: Path) -> Found:
         ],
         "curves": study.curves(arms),
     }
+
+
+NO_BODY = ("falls", "first_fall", "outside", "outside_settled", "cost_of_transport")
+"""Measures that mean nothing on a trainer."""
+
+
+def _run(trial: Trial, found: Outcome, folder: Path) -> Run:
+    """Return a trial's line."""
+    line = {"seed": trial.seed, "trial": trial.key, **found.measures}
+    if trial.start is not None:
+        line["start"] = trial.start.key
+        line["start_cpu_s"] = outcome(trial.start, folder).measures["cpu_s"]
+    # A robot that is put back on its feet is turned, too: no turn of its own.
+    late = slice(-min(WINDOW, trial.cycles), None)
+    turns = found.cycles["turn_rad"][late][found.cycles["falls"][late] == 0]
+    line["turn_rad"] = float(abs(turns).mean()) if len(turns) else None
+    line["drift_rad"] = float(abs(turns.mean())) if len(turns) else None
+    if trial.world == "trainer":
+        for name in (*NO_BODY, "turn_rad", "drift_rad"):
+            line.pop(name)
+        for name in [name for name in line if name.startswith(("roll", "pitch"))]:
+            line.pop(name)
+    return line
 
 
 def write(study: Study, found: Found, folder: Path) -> None:
@@ -189,6 +213,18 @@ def write(study: Study, found: Found, folder: Path) -> None:
     file.with_suffix(".md").write_text(page, encoding="utf-8")
 
 
+def cpu_seconds(found: Iterable[Found]) -> dict[str, float]:
+    """Return the CPU time of every trial of some experiments, trainings too, each once."""
+    spent: dict[str, float] = {}
+    for each in found:
+        for arm in each["arms"]:
+            for run in arm["runs"]:
+                spent[run["trial"]] = run["cpu_s"]
+                if "start" in run:
+                    spent[run["start"]] = run["start_cpu_s"]
+    return spent
+
+
 def section(study: Study, found: Found, heading: str, figures: str = "") -> list[str]:
     """Return an experiment's part of a document.
 
@@ -199,8 +235,10 @@ def section(study: Study, found: Found, heading: str, figures: str = "") -> list
         figures: what stands before the figure's name in its link.
     """
     about = found["about"]
-    total = sum(run["cpu_s"] for arm in found["arms"] for run in arm["runs"])
-    count = sum(len(arm["runs"]) for arm in found["arms"])
+    counts = [len(arm["runs"]) for arm in found["arms"]]
+    few, many = min(counts), max(counts)
+    seeds = f"{few} to {many}" if few < many else f"{few}"
+    spent = cpu_seconds([found])
     claims = study.claims(found)
     verdicts = [
         *grid(
@@ -219,9 +257,9 @@ def section(study: Study, found: Found, heading: str, figures: str = "") -> list
         "",
         f"![{study.title}]({figures}{study.name}.png)",
         "",
-        f"`{about['command']}` with {about['seeds']} seeds, {about['train']} cycles on the "
-        f"trainer, {about['walk']} (long) or {about['brief']} cycles on the body; "
-        f"{count} runs, {total / 60:.0f} CPU minutes without their trainings; every run is a line "
-        f"of `{study.name}.csv`.",
+        f"`{about['command']}`: {about['train']} cycles on the trainer, {about['walk']} (long) or "
+        f"{about['brief']} cycles on the body; {seeds} seeds an arm, {sum(counts)} runs, "
+        f"{sum(spent.values()) / 60:.0f} CPU minutes with the trainings they start from; every run "
+        f"is a line of `{study.name}.csv`.",
         "",
     ]

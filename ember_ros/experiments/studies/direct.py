@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from ember_ros.experiments.words import Claim, Found
 QUARTERS = 4
 FALLS_LEFT, WAY_GONE = 0.1, 0.5
 """Shares of a random knee's falls and of the scripted knee's way that are called walking."""
+PROVES = 20.0
+"""Falls per 1000 cycles of a random knee under which a body proves nothing."""
 STARTS = ("trained table", "empty table")
 
 
@@ -28,14 +30,59 @@ def arms(size: Size) -> list[Arm]:
 
 
 def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
-    """Return the falls of each quarter of each walk."""
-    return {
-        "/".join(arm.labels.values()): [
-            [int(part.sum()) for part in np.array_split(outcome.cycles["falls"], QUARTERS)]
-            for outcome in outcomes
+    """Return falls and mean distance of each quarter of each walk."""
+    found: dict[str, Any] = {}
+    for arm, outcomes in known:
+        name = "/".join(arm.labels.values())
+        falls = [np.array_split(each.cycles["falls"], QUARTERS) for each in outcomes]
+        ways = [np.array_split(each.cycles["distance_m"], QUARTERS) for each in outcomes]
+        found[f"{name}/falls"] = [[int(p.sum()) for p in parts] for parts in falls]
+        found[f"{name}/way"] = [
+            [round(float(p.mean()), 5) for p in parts if len(p)] for parts in ways
         ]
-        for arm, outcomes in known
-    }
+    return found
+
+
+class Walk(NamedTuple):
+    """How walkers do in the last quarter, beside a random and a scripted knee in the same body."""
+
+    falls: stats.Interval
+    """Share of the random knee's falls."""
+    way: stats.Interval
+    """Share of the scripted knee's way."""
+
+    @property
+    def walks(self) -> bool:
+        """Whether the intervals are beyond both bars."""
+        return self.falls.n > 1 and self.falls.high <= FALLS_LEFT and self.way.low >= WAY_GONE
+
+    @property
+    def fails(self) -> bool:
+        """Whether one of the intervals is short of its bar."""
+        return self.falls.n > 1 and (self.falls.low > FALLS_LEFT or self.way.high < WAY_GONE)
+
+    def told(self) -> str:
+        """Return both shares."""
+        return (
+            f"{words.told(self.falls, '.0%', '')} of a random knee's falls, "
+            f"{words.told(self.way, '.0%', '')} of the scripted knee's way"
+        )
+
+
+def in_the_end(found: Found, body: str, walker: str, learner: str) -> Walk | None:
+    """Return how walkers do in the last quarter; None where a random knee hardly falls."""
+    curves = found["curves"]
+    random = [falls[-1] for falls in curves[f"{body}/random knee/-/falls"]]
+    each = sum(random) / len(random)
+    cycles = found["arms"][0]["runs"][0]["cycles"] / QUARTERS
+    if 1000.0 * each / cycles < PROVES:
+        return None
+    scripted = curves[f"{body}/scripted knee/-/way"][0][-1]
+    name = f"{body}/{walker}/{learner}"
+    return Walk(
+        stats.interval([falls[-1] / each for falls in curves[f"{name}/falls"]]),
+        stats.interval([way[-1] / scripted for way in curves[f"{name}/way"]]),
+    )
 
 
 def claims(found: Found) -> list[Claim]:
@@ -46,28 +93,17 @@ def claims(found: Found) -> list[Claim]:
             first, empty = (
                 words.runs_of(found, body=body, walker=start, learner=learner) for start in STARTS
             )
-            scripted = words.runs_of(found, body=body, walker="scripted knee")[0]
             where = f"`{learner}`, {body}"
-            last = [
-                [part[-1] for part in found["curves"][f"{body}/{name}"]]
-                for name in (f"empty table/{learner}", "random knee/-")
-            ]
-            random = sum(last[1]) / len(last[1])
-            share = stats.interval([falls / random if random else 0.0 for falls in last[0]])
-            way = stats.interval([run["distance_m"] / scripted["distance_m"] for run in empty])
-            word = "unclear"
-            if share.n > 1 and (share.low > FALLS_LEFT or way.high < WAY_GONE):
-                word = "holds"
-            elif share.n > 1 and share.high <= FALLS_LEFT and way.low >= WAY_GONE:
-                word = "fails"
+            walk, other = (in_the_end(found, body, start, learner) for start in reversed(STARTS))
+            word, told = "unclear", "a random knee hardly falls here: it proves nothing"
+            if walk is not None and other is not None:
+                told = f"{walk.told()}; with trained legs {other.told()}"
+                if walk.walks:
+                    word = "fails"
+                elif walk.fails and other.walks:
+                    word = "holds"
             lines.append(
-                Claim(
-                    "legs that know nothing do not learn to walk on the body",
-                    where,
-                    f"{words.told(share, '.0%', '')} of a random knee's falls in the last quarter; "
-                    f"{words.told(way, '.0%', '')} of the scripted knee's way",
-                    word,
-                )
+                Claim("the direct approach does not work, training first does", where, told, word)
             )
             for says, name, form, more in (
                 ("without training they fall more", words.FALL_RATE, ".1f", (empty, first)),
@@ -93,14 +129,15 @@ def text(found: Found) -> list[str]:
         for learner in LEARNERS:
             cells = [body, learner]
             for start in reversed(STARTS):
-                falls = np.sum(found["curves"][f"{body}/{start}/{learner}"], axis=0)
+                falls = np.sum(found["curves"][f"{body}/{start}/{learner}/falls"], axis=0)
                 cells.append(", ".join(map(str, falls.tolist())))
             lines.append(cells)
     return [
-        "Legs that know nothing are said to have learnt to walk where they fall, in the last "
-        f"quarter of the budget, at most {FALLS_LEFT:.0%} as often as a random knee, and have gone "
-        f"at least {WAY_GONE:.0%} of the scripted knee's way. Falls by quarter, all seeds "
-        "together:",
+        "The direct approach is said to work where legs that know nothing, in the last quarter of "
+        f"the budget, fall at most {FALLS_LEFT:.0%} as often as a random knee and go at least "
+        f"{WAY_GONE:.0%} of the scripted knee's way; that it does not is said only where trained "
+        "legs pass these bars. (They were set when the runs were known.) Falls by quarter, all "
+        "seeds together:",
         "",
         *words.grid(("body", "learner", "empty table", "trained table"), lines),
         "",

@@ -31,7 +31,7 @@ BEFORE = "ember without lead and explore"
 TWICE = "ember, trained twice as long"
 WIDTHS = (0.22, 0.14, 0.12, 0.10, 0.08)
 """Half widths of the hips in a body of the reference's length, m."""
-KINDS = ("scripted knee", "trained, ember", f"trained, {BEFORE}", "trained, plain")
+KINDS = ("random knee", "scripted knee", "trained, ember", f"trained, {BEFORE}", "trained, plain")
 
 
 FEET = ("scripted knee", "ember", BEFORE, "plain")
@@ -66,13 +66,13 @@ def arms(size: Size) -> list[Arm]:
         for kind in KINDS:
             learner = "plain" if kind.endswith("plain") else "ember"
             other = before if kind.endswith(BEFORE) else {}
-            if kind == "scripted knee":
+            if kind.endswith("knee"):
                 trials = walks(
                     learner,
                     "reference",
                     size.brief,
                     range(1),
-                    policy="scripted",
+                    policy=kind.split()[0],
                     learning=False,
                     walker__hip_half_width=width,
                 )
@@ -146,11 +146,11 @@ def text(found: Found) -> list[str]:
             cells.append(f"{sum(words.column(runs, 'distance_m')) / len(runs):.3f}")
         lines.append(cells)
     return [
-        "Why narrow bodies fall: feet that come down late. The swing reward pays for being off the "
-        "ground and punishes contact up to its last tick, so a learnt knee is still bent when its "
-        "stance begins, and until it is down the body rests on the other diagonal alone. A knee "
-        "written by hand puts its foot down before stance, and does not fall. Share of feet on the "
-        "ground, of all legs and cycles:",
+        "A reading of why narrow bodies fall: feet that come down late. The swing reward pays for "
+        "being off the ground and punishes contact up to its last tick; so a learnt knee may still "
+        "be bent when its stance begins, and until the foot is down the body rests on the other "
+        "diagonal alone. The knee written by hand puts its foot down before stance. Share of feet "
+        "on the ground, of all legs and cycles:",
         "",
         *words.grid(
             ("body", "walker", *(f"{head}" for head, _ in MOMENTS)),
@@ -170,9 +170,9 @@ def text(found: Found) -> list[str]:
         "",
         "What a leg can sense of this by itself is its own height and its contact at the end of "
         "swing, and it knows the phase: with `reward.lead` the last ticks before stance are "
-        "rewarded as stance is. The state is not changed: 17 x 8 x 8 x 2 x 2. Such a reward is "
-        "harder to find, and needs more exploration on the trainer (`train.epsilon_start`): the "
-        "table of the learners tells what each of the two does without the other.",
+        "rewarded as stance is. The state is not changed: 17 x 8 x 8 x 2 x 2. It goes with "
+        "more exploration on the trainer (`train.epsilon_start`): the table of the learners tells "
+        "what each of the two does without the other.",
         "",
         f"Before: {BEFORE}; after: `ember`, and `ember` with twice the steps on the trainer, the "
         "share of random actions falling half as fast.",

@@ -66,10 +66,11 @@ def arms(size: Size) -> list[Arm]:
                     walks(learner, body, size.brief, seeds, starts, **other),
                 )
             )
-        found += [
-            Arm(arm.labels | {"learner": f"empty, {arm.labels['learner']}"}, arm.trials)
-            for arm in company(body, size._replace(seeds=size.few))
-        ]
+        for arm in company(body, size._replace(seeds=size.few)):
+            labels = dict(arm.labels)
+            if labels["walker"] == "empty table":  # not a variant, though its learner is called so
+                labels["learner"] += ", empty"
+            found.append(Arm(labels, arm.trials))
     return found
 
 

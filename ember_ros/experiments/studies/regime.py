@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ember_ros.experiments import plots, stats, words
-from ember_ros.experiments.studies.fig5 import HEIGHTS, height_arm
+from ember_ros.experiments.studies.fig5 import HEIGHTS, about_stops, height_arm
 from ember_ros.experiments.study import BODIES, LEARNERS, Arm, Size, Study, company, walks
 from ember_ros.experiments.words import Claim, Found
 
@@ -55,7 +55,13 @@ def claims(found: Found) -> list[Claim]:
 
 def text(found: Found) -> list[str]:
     """Say what came of it."""
-    return [*words.walkers(found["arms"]), "", words.WALKERS_NOTE]
+    return [
+        about_stops(),
+        "",
+        *words.walkers(found["arms"]),
+        "",
+        words.WALKERS_NOTE,
+    ]
 
 
 def draw(found: Found, file: Path) -> None:
@@ -73,7 +79,7 @@ STUDY = Study(
     "regime",
     "Fixed or modulated training: which walks better?",
     "section VIII: it is better to train for the behaviour you want; the simpler training gave "
-    "more stable walkers, and later learning was faster and more effective.",
+    "more stable walkers.",
     arms,
     text,
     draw,

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from ember_ros.experiments import stats, words
 from ember_ros.experiments.study import Arm, Size, Study, trained, walks
 from ember_ros.experiments.words import Found
-from ember_ros.report.figures import BLUE, INK, canvas, save
+from ember_ros.report.figures import AMBER, BLUE, GREY, INK, canvas, save
 
 
 class Sweep(NamedTuple):
@@ -32,7 +32,7 @@ SWEEPS = (
     Sweep("walker__hip_half_width", "half width of the hips, m", (0.10, 0.14, 0.22, 0.35)),
     Sweep("walker__length", "length of the body, m", (0.6, 0.8, 1.2, 1.5)),
 )
-POLICIES = ("trained", "scripted")
+POLICIES = ("trained", "empty table", "scripted", "random")
 
 
 def arms(size: Size) -> list[Arm]:
@@ -47,16 +47,18 @@ def arms(size: Size) -> list[Arm]:
             labels = {"sweep": sweep.name.replace("__", "."), "value": repr(value)}
             walked = walks("ember", "reference", size.brief, seeds, starts, **changes)
             found.append(Arm({**labels, "walker": "trained"}, walked))
-            by_hand = walks(
-                "ember",
-                "reference",
-                size.brief,
-                range(1),
-                policy="scripted",
-                learning=False,
-                **changes,
-            )
-            found.append(Arm({**labels, "walker": "scripted"}, by_hand))
+            for walker in POLICIES[1:]:
+                learns = walker == "empty table"
+                beside = walks(
+                    "ember",
+                    "reference",
+                    size.brief,
+                    range(1),
+                    policy="learned" if learns else walker,
+                    learning=learns,
+                    **changes,
+                )
+                found.append(Arm({**labels, "walker": walker}, beside))
     return found
 
 
@@ -67,24 +69,29 @@ def text(found: Found) -> list[str]:
         name = sweep.name.replace("__", ".")
         for value in sweep.values:
             cells = [f"`{name}`", f"{value:g}"]
-            for walker in POLICIES:
-                runs = words.runs_of(found, sweep=name, value=repr(value), walker=walker)
-                cells += [
-                    words.never_fell(runs),
-                    f"{words.falls_per_1000(runs):.1f}",
-                    f"{100 * stats.quartiles(words.column(runs, 'outside'))[1]:.1f} %",
-                    words.spread(words.column(runs, "distance_m")),
-                    words.spread(words.column(runs, "roll_sd_rad")),
-                ]
+            runs = {
+                walker: words.runs_of(found, sweep=name, value=repr(value), walker=walker)
+                for walker in POLICIES
+            }
+            own = runs["trained"]
+            cells += [
+                words.never_fell(own),
+                f"{words.falls_per_1000(own):.1f}",
+                f"{100 * stats.quartiles(words.column(own, 'outside'))[1]:.1f} %",
+                words.spread(words.column(own, "distance_m")),
+                words.spread(words.column(own, "roll_sd_rad")),
+            ]
+            for walker in POLICIES[1:]:
+                (run,) = runs[walker]
+                cells.append(f"{words.falls_per_1000([run]):.0f}; {run['distance_m']:.3f}")
             lines.append(cells)
-    heads = ["parameter", "value"] + [
-        f"{head}, {walker}"
-        for walker in POLICIES
-        for head in ("never fell", "falls per 1000", "outside", "distance, m", "SD of roll, rad")
-    ]
+    heads = ["parameter", "value", "never fell", "falls per 1000", "outside", "distance, m"]
+    heads += ["SD of roll, rad", *(f"{walker}: falls; distance" for walker in POLICIES[1:])]
     return [
         "`ember`, the reference body, one number changed at a time. Where it is the leg's or the "
-        "ground's, legs are trained with it; where it is the body's, they are the same legs.",
+        "ground's, legs are trained with it; where it is the body's, they are the same legs. "
+        "Trained legs, and beside them one walk each of legs with an empty table, of the scripted "
+        "and of a random knee, falls per 1000 cycles and distance a cycle:",
         "",
         *words.grid(heads, lines),
         "",
@@ -93,12 +100,12 @@ def text(found: Found) -> list[str]:
 
 
 def draw(found: Found, file: Path) -> None:
-    """Draw a panel a number: falls and distance, trained and by hand."""
+    """Draw a panel a number: falls and distance, trained legs and who walks beside them."""
     figure, axes = canvas(4, 4, width=14.0, height=2.4)
     for n, sweep in enumerate(SWEEPS):
         name = sweep.name.replace("__", ".")
         above, below = axes[2 * (n // 4), n % 4], axes[2 * (n // 4) + 1, n % 4]
-        for walker, colour in zip(POLICIES, (BLUE, INK), strict=True):
+        for walker, colour in zip(POLICIES, (BLUE, AMBER, INK, GREY), strict=True):
             runs = [
                 words.runs_of(found, sweep=name, value=repr(value), walker=walker)
                 for value in sweep.values
@@ -114,7 +121,7 @@ def draw(found: Found, file: Path) -> None:
                     axis.plot([value] * len(values), values, "o", color=colour, ms=3, alpha=0.5)
         above.set_yscale("symlog", linthresh=1.0)
         above.set_ylim(bottom=-0.2)
-        below.set_ylim(bottom=0.0)
+        below.axhline(0.0, color=INK, lw=0.6)
         below.set_xlabel(sweep.label)
         above.set_ylabel("falls per 1000")
         below.set_ylabel("distance, m")
