@@ -29,8 +29,6 @@ def _begin(stopped: Event) -> None:
     """Make a process a worker: it stops when it is told, and ends when its parent is gone."""
     global _stopped
     _stopped = stopped
-    # The terminal's Ctrl-C reaches workers too; it is the parent that tells them what it means.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -49,6 +47,10 @@ def _job(trial: Trial, folder: Path) -> bool:
     return run_trial(trial, folder, _go_on)
 
 
+def _nothing() -> None:
+    """Have a worker begun."""
+
+
 @contextmanager
 def workers() -> Iterator[tuple[concurrent.futures.Executor, Event]]:
     """Start the processes that experiments run in, and an event that tells them to stop."""
@@ -60,6 +62,14 @@ def workers() -> Iterator[tuple[concurrent.futures.Executor, Event]]:
         with concurrent.futures.ProcessPoolExecutor(
             WORKERS, mp_context=context, initializer=_begin, initargs=(stop,)
         ) as pool:
+            # The terminal's Ctrl-C goes to workers too, and it is the parent that tells them what
+            # it means: they are begun with it blocked, and never hear it.
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
+                for _ in range(WORKERS):
+                    pool.submit(_nothing)
+            finally:
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
             try:
                 yield pool, stop
             except BaseException:

@@ -141,7 +141,8 @@ def draw(found: Found, file: Path) -> None:
                     if down == 0
                     else words.column(runs, "distance_m")
                 )
-                groups[name.replace(" ", "\n")] = {"": values}
+                short = name.replace("plain + ", "+\n").replace("ember - ", "-\n")
+                groups[short] = {"": values}
             axis = axes[down, across]
             plots.strips(axis, groups, label)
             axis.tick_params(axis="x", labelsize=7)
