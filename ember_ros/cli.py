@@ -454,14 +454,15 @@ def _relearn(
         found = relearn.relearn_experiment(
             seeds, cycles, walk_cycles, trials / RELEARN, lambda done, of: go_on(done, 0)
         )
-    if not found:
-        raise ParameterError("stopped before the first seed was done; nothing was written")
+    if len(found) < seeds:
+        console.print(f"Stopped after {len(found)} of {seeds} seeds; nothing was written.")
+        sys.exit(INTERRUPTED)
     folder = out / RESULTS
     folder.mkdir(parents=True, exist_ok=True)
     text = relearn.page(found, cycles, walk_cycles, command)
     (folder / f"{RELEARN}.md").write_text(text, encoding="utf-8")
     (folder / f"{RELEARN}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    console.print(f"{len(found)} of {seeds} seeds; in {folder}: {RELEARN}.md, {RELEARN}.json")
+    console.print(f"In {folder}: {RELEARN}.md, {RELEARN}.json")
 
 
 @main.command("params")

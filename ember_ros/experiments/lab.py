@@ -6,6 +6,7 @@ What was run before is not run again, so an experiment that was stopped goes on 
 from __future__ import annotations
 
 import concurrent.futures
+import concurrent.futures.process
 import multiprocessing
 import os
 import signal
@@ -16,6 +17,7 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
+from ember_ros.errors import EmberError
 from ember_ros.experiments.trial import Trial, done, run_trial
 
 WORKERS = 2
@@ -133,7 +135,14 @@ def run_all(trials: Iterable[Trial], folder: Path, say: Callable[[int, int], boo
             ended, _ = concurrent.futures.wait(running, 0.5, concurrent.futures.FIRST_COMPLETED)
             for future in ended:
                 trial = running.pop(future)
-                if future.result():
+                try:
+                    whole = future.result()
+                except concurrent.futures.process.BrokenProcessPool as error:
+                    raise EmberError(
+                        f"a worker process died in trial {trial.key} ({trial.world}, seed "
+                        f"{trial.seed}); start again: what was run is not run again"
+                    ) from error
+                if whole:
                     ready.add(trial.key)
                     spent += cost(trial)
             if not say(spent, total):

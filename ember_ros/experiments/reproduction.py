@@ -94,8 +94,8 @@ def document(folder: Path) -> str:
         f"with their tables {OTHER_SEED}, {OTHER_SEED + 1}, ....",
         "",
         "**Seeds.** The numbers of `ember` were found on training seeds 0 to 9, mostly in the "
-        f"narrow body; seeds from {walker.HELD_OUT} on were run once, after all tuning, in the "
-        "reference body. The frontier has no held-out seeds.",
+        f"narrow body; no number was chosen on seeds from {walker.HELD_OUT} on, which walk in "
+        "the reference body. The frontier has no held-out seeds.",
         "",
         "**Learners.** `plain` is the paper's: one-step Q-learning at a constant rate, "
         "epsilon-greedy. `ember`, the default, is still one-step, local, tabular and shared, and "
@@ -142,10 +142,13 @@ def _summary(found: dict[str, Found]) -> list[str]:
             learner: words.falls_per_1000(
                 words.runs_of(found["frontier"], body=body, walker="trained table", learner=learner)
             )
-            for learner in ("ember", "plain")
+            for learner in ("plain", frontier.BEFORE, "ember", frontier.TWICE, frontier.NEARER)
         }
-        told = ", ".join(f"`{learner}` {rate:.2f}" for learner, rate in rates.items())
-        lines.append(f"- Frontier, {body} body, falls per 1000 steps: {told}.")
+        told = ", ".join(f"{learner} {rate:.2f}" for learner, rate in rates.items())
+        lines.append(
+            f"- Frontier, {body} body, falls per 1000 steps (at most {frontier.AIM:.0f} was aimed "
+            f"at): {told}."
+        )
     return lines
 
 

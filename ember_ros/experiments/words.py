@@ -81,8 +81,15 @@ def spread(values: Sequence[float], form: str = ".3f") -> str:
 
 
 def told(found: stats.Interval, form: str = ".3f", sign: str = "+") -> str:
-    """Return a mean difference with its interval."""
+    """Return a mean with its interval, which one seed alone has not."""
+    if found.n < 2:
+        return f"{found.mean:{sign}{form}}"
     return f"{found.mean:{sign}{form}} [{found.low:{sign}{form}}, {found.high:{sign}{form}}]"
+
+
+def bar(passed: bool, runs: Sequence[Run]) -> str:
+    """Return the verdict on a bar; one seed proves nothing."""
+    return "unclear" if len(runs) < 2 else "holds" if passed else "fails"
 
 
 def grid(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> list[str]:

@@ -106,13 +106,13 @@ def claims(found: Found) -> list[Claim]:
         shorter = words.more(modulated, fixed, "distance_last_m")
         lines += [
             Claim(
-                "with modulated height learning is slower",
+                "with the modulated (and higher) stop learning is slower",
                 f"`{learner}`",
                 f"the distance settles {words.told(slower, '.0f')} steps later",
                 stats.verdict(slower, claimed=1),
             ),
             Claim(
-                "with modulated height steps end shorter",
+                "with the modulated (and higher) stop steps end shorter",
                 f"`{learner}`",
                 f"{words.told(shorter)} m over the last 500 steps",
                 stats.verdict(shorter, claimed=-1),
@@ -146,7 +146,8 @@ def text(found: Found) -> list[str]:
         "",
         "Medians over seeds with quartiles; at the end: the last 500 steps. A curve settles where "
         f"its mean over {MEAN} steps has first gone {SETTLED:.0%} of its way. `ember` begins with "
-        "random actions alone.",
+        "random actions alone, and their share falls over half of the training: where its curves "
+        "settle is a matter of that.",
         "",
         about_stops(),
     ]

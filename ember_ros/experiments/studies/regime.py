@@ -29,9 +29,21 @@ def arms(size: Size) -> list[Arm]:
 
 
 MEASURES = (
-    ("the simpler training falls less", words.FALL_RATE, ".1f", "falls per 1000", 1),
-    ("the simpler training is steadier", "roll_sd_rad", ".3f", "rad of roll, SD,", 1),
-    ("the simpler training goes further", "distance_m", ".3f", "m a cycle", -1),
+    (
+        "the simpler training (fixed, lower stop) falls less",
+        words.FALL_RATE,
+        ".1f",
+        "falls per 1000",
+        1,
+    ),
+    (
+        "the simpler training (fixed, lower stop) is steadier",
+        "roll_sd_rad",
+        ".3f",
+        "rad of roll, SD,",
+        1,
+    ),
+    ("the simpler training (fixed, lower stop) goes further", "distance_m", ".3f", "m a cycle", -1),
 )
 """What is claimed, of which measure, its form and unit, and the sign of it if modulated."""
 

@@ -113,12 +113,15 @@ def claims(found: Found) -> list[Claim]:
                 )
             )
             sooner = stats.difference(private, shared)
+            word = stats.verdict(sooner, claimed=1)
+            if never[0] and word == "holds":
+                word = "unclear"
             lines.append(
                 Claim(
                     "one table learns more quickly",
                     where,
                     f"{words.told(sooner, '.0f')} cycles with private tables{at_least}",
-                    stats.verdict(sooner, claimed=1),
+                    word,
                 )
             )
             one, four = (
@@ -167,9 +170,10 @@ def text(found: Found) -> list[str]:
         "",
         "The reward to reach lies half way between the random knee's (by `ember`'s reward) and "
         f"that of a walker with trained legs; it is reached by a mean over {MEAN} cycles, and told "
-        "is its middle; who never reached it counts as the whole budget. Legs differ: share of the "
-        "states that two legs both visited 20 times in which the largest values of their tables "
-        "are of different actions. That is chance as well as specialisation.",
+        "is its middle, so that shorter times are not told apart; who never reached it counts as "
+        "the whole budget. Legs differ: share of the states that two legs both visited 20 times in "
+        "which the largest values of their tables are of different actions. That is chance as well "
+        "as specialisation.",
         "",
         *words.walkers(found["arms"]),
         "",
