@@ -26,8 +26,8 @@ DEGREE = 4
 """Of the trend, as in the paper."""
 ANGLES = ("roll", "pitch")
 STAND, SLACK, ENOUGH, LOWER = 0.9, 0.01, 0.75, 0.8
-"""What is asked for: shares of walkers that never fall, of steps outside, of the scripted way, and of
-walkers that are steadier at the end."""
+"""What is asked for: shares of walkers that never fall, of steps outside, of the scripted way, and
+of walkers that are steadier at the end."""
 
 
 def arms(size: Size) -> list[Arm]:
