@@ -467,3 +467,28 @@ def test_several_seeds_in_small(tmp_path: Path) -> None:
     means = [run["peak_force_n"] for run in arm["runs"]]  # over all 4 steps, of both seeds
     assert np.mean(curve["median"]) == pytest.approx(np.mean(means), rel=1e-4)
     assert not (tmp_path / DOCUMENT).exists()
+
+
+def test_the_document_says_what_the_result_files_say() -> None:
+    """docs/REPRODUCTION.md is made from docs/results, to the letter: no figure typed by hand."""
+    assert (ROOT / "docs" / DOCUMENT).read_text() == document(ROOT / "docs" / RESULTS)
+
+
+@pytest.mark.parametrize("name", list(STUDIES))
+def test_the_result_files_are_whole(name: str) -> None:
+    """Ten seeds where ten are promised, all numbers finite, and small enough to keep."""
+    for ending in ("json", "csv", "png"):
+        assert (ROOT / "docs" / RESULTS / f"{name}.{ending}").stat().st_size < 3_000_000
+    found = json.loads((ROOT / "docs" / RESULTS / f"{name}.json").read_text())
+    assert (found["about"]["seeds"], found["about"]["walk"]) == (10, 7000)
+    for arm in found["arms"]:
+        for run in arm["runs"]:
+            assert all(math.isfinite(value) for value in run.values() if isinstance(value, float))
+
+
+def test_the_readme_says_what_the_document_says() -> None:
+    """Its figures are the document's own lines."""
+    readme = (ROOT / "README.md").read_text()
+    said = readme.partition("<!-- in short -->")[2].partition("<!-- end -->")[0].strip()
+    assert said.startswith("- ")
+    assert said in (ROOT / "docs" / DOCUMENT).read_text()
