@@ -228,9 +228,12 @@ def draw(found: Found, file: Path) -> None:
             axis.set_xlabel("half width of the hips, m")
     axes[0, 0].set_yscale("symlog", linthresh=1.0)
     axes[0, 0].set_ylim(bottom=-0.2)
-    axes[0, 1].legend(frameon=False, fontsize=8)
+    known = axes[0, 0].get_legend_handles_labels()
+    figure.legend(*known, frameon=False, ncols=6, loc="outside upper left")
     axis = axes[0, 2]
-    for name, colour in zip(FEET, COLOURS, strict=False):
+    for name in FEET:
+        kind = name if name.endswith("knee") else f"trained, {name}"
+        colour = COLOURS[KINDS.index(kind)]
         share = found["curves"][f"narrow/{name}"]
         half = len(share) // 2
         axis.plot(range(-half, half), [*share[half:], *share[:half]], color=colour, lw=1.6)

@@ -125,7 +125,8 @@ def draw(found: Found, file: Path) -> None:
         below.set_xlabel(sweep.label)
         above.set_ylabel("falls per 1000")
         below.set_ylabel("distance, m")
-    axes[0, 0].legend(frameon=False)
+    known = axes[0, 0].get_legend_handles_labels()
+    figure.legend(*known, frameon=False, ncols=4, loc="outside upper left")
     save(figure, file)
 
 
