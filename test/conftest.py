@@ -46,8 +46,9 @@ DEADLINE_S = 60.0
 """Wall time after which a condition is said not to come true. No test that passes waits for it."""
 AGAIN_S = 2.0
 """Wall time after which a service that did not answer is called again."""
-GOODBYE_S = 5.0
-"""Wall time in which another process' goodbye must have come."""
+GOODBYE_S = 30.0
+"""Wall time in which another process' goodbye must have come, or, where the goodbye was lost, its
+lease of 20 s have ended."""
 DOMAINS = range(1, 101)
 QUIET = 100
 """Callbacks after which an executor has nothing left for a node that was taken from it."""
