@@ -161,6 +161,7 @@ def test_measures_are_those_of_the_record(tmp_path: Path) -> None:
     bad = (cycles["tilt_max_rad"] > 0.3) | (cycles["height_min_m"] < 0.36)
     assert measures["outside"] == bad.mean()
     assert measures["outside_settled"] is None
+    # NumPy adds in another order.
     assert measures["distance_m"] == pytest.approx(cycles["distance_m"].mean())
     assert measures["unseen_share"] is None
     assert found.shown.shape == (2, 16 * 32, 2)
@@ -405,6 +406,7 @@ def test_survival_is_kaplan_meier() -> None:
 def test_settling_and_reaching() -> None:
     """A ramp settles at 90 % of its way; a step is reached when its mean has come up."""
     ramp = np.concatenate([np.zeros(1000), np.linspace(0, 1, 1000), np.ones(1000)])
+    # A ramp of 1000 points, and a mean over 200: to a few steps.
     assert settles(ramp) == pytest.approx(1000 + 900 + 100, abs=5)
     assert settles(np.ones(1000)) == 200
     values = np.concatenate([np.zeros(100), np.ones(100)])
@@ -465,6 +467,7 @@ def test_several_seeds_in_small(tmp_path: Path) -> None:
     curve = found["curves"]["ember/fixed/peak_force_n"]
     (arm,) = (a for a in found["arms"] if a["labels"] == {"learner": "ember", "height": "fixed"})
     means = [run["peak_force_n"] for run in arm["runs"]]  # over all 4 steps, of both seeds
+    # Curves are rounded.
     assert np.mean(curve["median"]) == pytest.approx(np.mean(means), rel=1e-4)
     assert not (tmp_path / DOCUMENT).exists()
 

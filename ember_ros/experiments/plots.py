@@ -14,6 +14,10 @@ if TYPE_CHECKING:
 
 COLOURS = (BLUE, AMBER, "#4d8f5b", "#8c5a9e", GREY, INK, "#c2476a")
 
+FALLS, WAY = "falls per 1000 cycles", "distance a cycle, m"
+MEASURES = {FALLS: words.FALL_RATE, WAY: "distance_m"}
+"""What is drawn of walkers wherever they are compared: label of the axis, and measure."""
+
 
 def strips(axis: Axes, groups: Mapping[str, Mapping[str, Sequence[float]]], label: str) -> None:
     """Draw every seed as a dot and every median as a bar: a cluster a group, a strip a kind."""
@@ -37,20 +41,17 @@ def strips(axis: Axes, groups: Mapping[str, Mapping[str, Sequence[float]]], labe
 def bodies(
     file: Path,
     quantities: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]],
-    *,
-    log: Sequence[str] = (),
 ) -> None:
-    """Draw strips, a row a quantity.
+    """Draw strips, a row a quantity; falls are logarithmic beyond 1.
 
     Args:
         file: PNG or SVG.
         quantities: label of an axis, group, kind, values.
-        log: labels of axes that are logarithmic beyond 1.
     """
     figure, axes = canvas(len(quantities), 1, height=2.7)
     for axis, (label, groups) in zip(axes[:, 0], quantities.items(), strict=True):
         strips(axis, groups, label)
-        if label in log:
+        if label == FALLS:
             axis.set_yscale("symlog", linthresh=1.0)
             axis.set_ylim(bottom=-0.2)
     axes[0, 0].legend(frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
@@ -67,14 +68,13 @@ def fall_rates_and(
         kinds: name of a kind, labels of its arms.
         groups: name of a group, labels of its arms.
     """
-    falls: dict[str, dict[str, list[float]]] = {}
-    ways: dict[str, dict[str, list[float]]] = {}
-    for group, one in groups.items():
-        for kind, other in kinds.items():
-            runs = words.runs_of(found, **one, **other)
-            falls.setdefault(group, {})[kind] = words.column(runs, words.FALL_RATE)
-            ways.setdefault(group, {})[kind] = words.column(runs, "distance_m")
-    return {FALLS: falls, WAY: ways}
-
-
-FALLS, WAY = "falls per 1000 cycles", "distance a cycle, m"
+    return {
+        label: {
+            group: {
+                kind: words.column(words.runs_of(found, **one, **other), name)
+                for kind, other in kinds.items()
+            }
+            for group, one in groups.items()
+        }
+        for label, name in MEASURES.items()
+    }

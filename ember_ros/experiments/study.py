@@ -52,11 +52,6 @@ class Arm(NamedTuple):
     trials: list[Trial]
 
 
-def nothing(found: Found) -> list[Claim]:
-    """Return no claims: of what only shows, and answers nothing that was said before."""
-    return []
-
-
 @dataclass(frozen=True)
 class Study:
     """An experiment."""
@@ -70,7 +65,7 @@ class Study:
     """Lines of Markdown."""
     draw: Callable[[Found, Path], None]
     curves: Callable[[list[tuple[Arm, list[Outcome]]]], dict[str, Any]] = lambda arms: {}
-    claims: Callable[[Found], list[Claim]] = nothing
+    claims: Callable[[Found], list[Claim]] = lambda found: []
     """What is claimed, and whether it holds."""
 
 
@@ -128,13 +123,21 @@ def company(body: str, size: Size) -> list[Arm]:
     ]
 
 
-def trained_arm(body: str, learner: str, size: Size) -> Arm:
-    """Return walkers with a trained table that go on learning."""
+def trained_arm(body: str, learner: str, size: Size, *, name: str = "", **changes: Any) -> Arm:
+    """Return walkers with a trained table that go on learning.
+
+    Args:
+        body: of the walkers.
+        learner: ``plain`` or ``ember``.
+        size: its seeds, its training and its brief walk.
+        name: of a learner that is changed; its own without.
+        changes: to the learner, on the trainer and on the body.
+    """
     seeds = range(size.seeds)
-    starts = [trained(learner, size, seed) for seed in seeds]
+    starts = [trained(learner, size, seed, **changes) for seed in seeds]
     return Arm(
-        {"body": body, "walker": "trained table", "learner": learner},
-        walks(learner, body, size.brief, seeds, starts),
+        {"body": body, "walker": "trained table", "learner": name or learner},
+        walks(learner, body, size.brief, seeds, starts, **changes),
     )
 
 

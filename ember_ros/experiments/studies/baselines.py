@@ -109,9 +109,9 @@ def draw(found: Found, file: Path) -> None:
     groups = {body: {"body": body} for body in BODIES}
     quantities = plots.fall_rates_and(found, kinds, groups)
     central = words.runs_of(found, **CENTRAL_LABELS)
-    for label, name in ((plots.FALLS, words.FALL_RATE), (plots.WAY, "distance_m")):
+    for label, name in plots.MEASURES.items():
         quantities[label]["reference"]["central learner"] = words.column(central, name)
-    plots.bodies(file, quantities, log=[plots.FALLS])
+    plots.bodies(file, quantities)
 
 
 STUDY = Study(

@@ -155,7 +155,7 @@ def draw(found: Found, file: Path) -> None:
         for learner in LEARNERS
     } | {"random knee": {"walker": "random knee"}, "scripted knee": {"walker": "scripted knee"}}
     groups = {body: {"body": body} for body in BODIES}
-    plots.bodies(file, plots.fall_rates_and(found, kinds, groups), log=[plots.FALLS])
+    plots.bodies(file, plots.fall_rates_and(found, kinds, groups))
 
 
 STUDY = Study(

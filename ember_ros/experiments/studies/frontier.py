@@ -55,23 +55,17 @@ MOMENTS = (
 def arms(size: Size) -> list[Arm]:
     """Return walkers before and after in the frontier bodies, and in ever narrower ones."""
     found = []
-    seeds = range(size.seeds)
     before = changes("plain", ("lead", "explore"))
+    longer: dict[str, Any] = {"train__epsilon_cycles": 2 * numbers().train.epsilon_cycles}
+    twice = size._replace(train=2 * size.train)
     for body in BODIES:
-        found += [trained_arm(body, "plain", size)]
-        starts = [trained("ember", size, seed, **before) for seed in seeds]
-        walked = walks("ember", body, size.brief, seeds, starts, **before)
-        found.append(Arm({"body": body, "walker": "trained table", "learner": BEFORE}, walked))
-        found.append(trained_arm(body, "ember", size))
-        for name, tried in (
-            (TWICE, {"train__epsilon_cycles": 2 * numbers().train.epsilon_cycles}),
-            (NEARER, changes("plain", ("gamma",))),
-        ):
-            other: dict[str, Any] = tried
-            long = size._replace(train=2 * size.train) if name == TWICE else size
-            starts = [trained("ember", long, seed, **other) for seed in seeds]
-            walked = walks("ember", body, size.brief, seeds, starts, **other)
-            found.append(Arm({"body": body, "walker": "trained table", "learner": name}, walked))
+        found += [
+            trained_arm(body, "plain", size),
+            trained_arm(body, "ember", size, name=BEFORE, **before),
+            trained_arm(body, "ember", size),
+            trained_arm(body, "ember", twice, name=TWICE, **longer),
+            trained_arm(body, "ember", size, name=NEARER, **changes("plain", ("gamma",))),
+        ]
         found += company(body, size)
     some = range(size.few)
     for width in WIDTHS:
@@ -210,21 +204,17 @@ def draw(found: Found, file: Path) -> None:
     """Draw falls and distance against the width of the hips."""
     figure, axes = canvas(1, 3, width=14.0, height=3.6)
     for n, kind in enumerate(KINDS):
-        for axis, name in zip(axes[0], (plots.FALLS, plots.WAY), strict=False):
-            each = []
-            for width in WIDTHS:
-                runs = words.runs_of(found, width=f"{width:g}", kind=kind)
-                each.append(
-                    words.column(runs, words.FALL_RATE)
-                    if name == plots.FALLS
-                    else words.column(runs, "distance_m")
-                )
+        for axis, (label, name) in zip(axes[0], plots.MEASURES.items(), strict=False):
+            each = [
+                words.column(words.runs_of(found, width=f"{width:g}", kind=kind), name)
+                for width in WIDTHS
+            ]
             means = [sum(values) / len(values) for values in each]
             axis.plot(WIDTHS, means, "-", color=COLOURS[n], lw=1.6, label=kind)
             for width, values in zip(WIDTHS, each, strict=True):
                 at = [width] * len(values)
                 axis.plot(at, values, "o", color=COLOURS[n], ms=3.5, alpha=0.5)
-            axis.set_ylabel(name)
+            axis.set_ylabel(label)
             axis.set_xlabel("half width of the hips, m")
     axes[0, 0].set_yscale("symlog", linthresh=1.0)
     axes[0, 0].set_ylim(bottom=-0.2)

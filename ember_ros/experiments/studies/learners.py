@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ember_ros.experiments import plots, words
-from ember_ros.experiments.study import Arm, Size, Study, company, numbers, trained, walks
+from ember_ros.experiments.study import Arm, Size, Study, company, numbers, trained_arm
 from ember_ros.experiments.words import Found
 from ember_ros.params import as_dict
 from ember_ros.report.figures import INK, canvas, save
@@ -56,17 +56,11 @@ def variants() -> dict[str, tuple[str, dict[str, Any]]]:
 def arms(size: Size) -> list[Arm]:
     """Return walkers of every variant, and who walks beside them."""
     found = []
-    seeds = range(size.few)
+    few = size._replace(seeds=size.few)
     for body in BODIES:
         for name, (learner, other) in variants().items():
-            starts = [trained(learner, size, seed, **other) for seed in seeds]
-            found.append(
-                Arm(
-                    {"body": body, "walker": "trained table", "learner": name},
-                    walks(learner, body, size.brief, seeds, starts, **other),
-                )
-            )
-        for arm in company(body, size._replace(seeds=size.few)):
+            found.append(trained_arm(body, learner, few, name=name, **other))
+        for arm in company(body, few):
             labels = dict(arm.labels)
             if labels["walker"] == "empty table":  # not a variant, though its learner is called so
                 labels["learner"] += ", empty"
@@ -132,15 +126,10 @@ def draw(found: Found, file: Path) -> None:
     names = list(variants())
     figure, axes = canvas(2, 2, width=12.0, height=3.2)
     for across, body in enumerate(BODIES):
-        for down, label in enumerate((plots.FALLS, plots.WAY)):
+        for down, (label, measure) in enumerate(plots.MEASURES.items()):
             groups = {}
             for name in names:
-                runs = words.runs_of(found, body=body, learner=name)
-                values = (
-                    words.column(runs, words.FALL_RATE)
-                    if down == 0
-                    else words.column(runs, "distance_m")
-                )
+                values = words.column(words.runs_of(found, body=body, learner=name), measure)
                 short = name.replace("plain + ", "+\n").replace("ember - ", "-\n")
                 groups[short] = {"": values}
             axis = axes[down, across]

@@ -84,7 +84,7 @@ def draw(found: Found, file: Path) -> None:
         for learner in LEARNERS
     }
     groups = {body: {"body": body} for body in BODIES}
-    plots.bodies(file, plots.fall_rates_and(found, kinds, groups), log=[plots.FALLS])
+    plots.bodies(file, plots.fall_rates_and(found, kinds, groups))
 
 
 STUDY = Study(

@@ -196,7 +196,7 @@ def draw(found: Found, file: Path) -> None:
                 runs = words.runs_of(found, body=body, walker=tables, learner=learner)
                 falls.setdefault(body, {})[kind] = words.column(runs, words.FALL_RATE)
     label = "cycles to the reward"
-    plots.bodies(file, {label: times, plots.FALLS: falls}, log=[plots.FALLS])
+    plots.bodies(file, {label: times, plots.FALLS: falls})
 
 
 STUDY = Study(
