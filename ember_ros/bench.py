@@ -25,7 +25,8 @@ from ember_ros.run import TABLE
 from ember_ros.signals import BodyState, LegCommand, LegSense, Pair, Phase
 from ember_ros.versions import versions
 from leg_node.shared import Push, SharedTable
-from leg_node.table import empty_table, save_table
+from leg_node.table import empty_table
+from leg_node.table_file import save_table
 
 Say = Callable[[str], None]
 

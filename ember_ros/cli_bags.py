@@ -28,7 +28,7 @@ from ember_ros.params import SPECS, replace
 from ember_ros.params_file import config_names, dump_params, load_params
 from ember_ros.run import TABLE, no_ros
 from ember_ros.spinning import prepare_environment, stop_signals
-from leg_node.table import load_table, save_table
+from leg_node.table_file import load_table, save_table
 
 DIFFERENT = 1
 """Exit code of a replay that came out otherwise, or of a bag with damage in it."""

@@ -14,7 +14,8 @@ from ember_ros.plan import Plan, make_world
 from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
 from leg_node.module import LegModule
 from leg_node.shared import SharedTable
-from leg_node.table import Table, empty_table, load_table
+from leg_node.table import Table, empty_table
+from leg_node.table_file import load_table
 from sim_node.world import World
 
 

@@ -35,7 +35,7 @@ from ember_ros.report.recorder import (
 )
 from ember_ros.versions import versions
 from leg_node.journal import ENDINGS
-from leg_node.table import load_table, save_table
+from leg_node.table_file import load_table, save_table
 
 WAYS = ("loop", "graph", "processes")
 TABLE, SUMMARY, PICTURE = "table.npz", "summary.json", "run.png"

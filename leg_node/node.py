@@ -20,7 +20,7 @@ from ember_ros.spinning import main_of
 from leg_node.inbox import Inbox
 from leg_node.module import LegModule
 from leg_node.shared import Push
-from leg_node.table import load_table, save_table
+from leg_node.table_file import load_table, save_table
 
 WATCH_S = 0.1  # wall time between looks at whether the table answers
 LOG_EVERY_S = 5.0

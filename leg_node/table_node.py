@@ -20,7 +20,8 @@ from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.spinning import main_of
 from leg_node.journal import MOST_PUSHES, Journal, from_json, to_json
 from leg_node.shared import SharedTable
-from leg_node.table import Table, empty_table, load_table, save_table
+from leg_node.table import Table, empty_table
+from leg_node.table_file import load_table, save_table
 
 
 class TableNode(Node):  # type: ignore[misc]

@@ -37,7 +37,8 @@ from ember_ros.plan import Plan
 from ember_ros.signals import LEGS, LegCommand
 from ember_ros.versions import versions
 from leg_node.node import LegNode
-from leg_node.table import empty_table, save_table
+from leg_node.table import empty_table
+from leg_node.table_file import save_table
 from leg_node.table_node import TableNode
 from sim_node import node as sim_module
 from sim_node.fake import FakeWorld

@@ -20,7 +20,7 @@ from ember_ros.params import Params
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.report.recorder import Row, load_record
 from ember_ros.run import SUMMARY, TABLE
-from leg_node.table import load_table
+from leg_node.table_file import load_table
 
 pytest.importorskip("pybullet", reason="every command here builds a world")
 

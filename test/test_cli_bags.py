@@ -33,7 +33,8 @@ from ember_ros.plan import Plan
 from ember_ros.report.recorder import BODY, Row
 from ember_ros.run import SUMMARY, TABLE
 from ember_ros.signals import LEGS
-from leg_node.table import empty_table, load_table, save_table
+from leg_node.table import empty_table
+from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
 
 ROS = find_spec("rclpy") is not None

@@ -47,7 +47,7 @@ from ember_ros.params import Params, replace
 from ember_ros.plan import Plan, make_world
 from ember_ros.signals import LegCommand, LegSense
 from leg_node.state import Partition
-from leg_node.table import load_table
+from leg_node.table_file import load_table
 
 pytest.importorskip("pybullet", reason="a trial needs a world")
 pytest.importorskip("scipy", reason="statistics need it")

@@ -24,7 +24,8 @@ from ember_ros.plan import Plan
 from ember_ros.signals import LEGS, LegCommand, LegSense, Pair
 from leg_node.node import LegNode
 from leg_node.shared import LocalCopy, Push, SharedTable
-from leg_node.table import empty_table, save_table
+from leg_node.table import empty_table
+from leg_node.table_file import save_table
 from leg_node.table_node import TableNode
 from sim_node.node import SimNode
 

@@ -21,7 +21,8 @@ from ember_ros.signals import LEGS, TRAINER_LEG, BodyState, LegCommand, LegSense
 from leg_node.gait import LegGait
 from leg_node.reward import Rewarder
 from leg_node.state import Partition
-from leg_node.table import Table, empty_table, save_table
+from leg_node.table import Table, empty_table
+from leg_node.table_file import save_table
 from sim_node.fake import FakeWorld
 
 PARAMS = load_params("plain")

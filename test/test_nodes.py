@@ -28,7 +28,8 @@ from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Pair, Phase
 from leg_node.module import LegModule
 from leg_node.node import LegNode
 from leg_node.shared import Push, SharedTable
-from leg_node.table import empty_table, load_table, save_table
+from leg_node.table import empty_table
+from leg_node.table_file import load_table, save_table
 from leg_node.table_node import TableNode
 from sim_node.node import SimNode
 

@@ -23,7 +23,7 @@ from ember_ros.params_file import dump_params
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import load_record
 from ember_ros.signals import LEGS
-from leg_node.table import load_table
+from leg_node.table_file import load_table
 
 if TYPE_CHECKING:
     from test.conftest import Bits, Ros

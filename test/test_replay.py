@@ -29,7 +29,8 @@ from ember_ros.versions import versions
 from leg_node.gait import LegGait
 from leg_node.reward import Rewarder
 from leg_node.state import Partition
-from leg_node.table import Table, empty_table, load_table, save_table
+from leg_node.table import Table, empty_table
+from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
 
 if TYPE_CHECKING:

@@ -16,7 +16,8 @@ from ember_ros.bag.reading import Bag, Tick
 from ember_ros.errors import BagError
 from ember_ros.plan import Plan
 from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
-from leg_node.table import Table, load_table, save_table
+from leg_node.table import Table
+from leg_node.table_file import load_table, save_table
 
 WAYS = ("loop", "graph")
 

@@ -22,7 +22,7 @@ from ember_ros.params import replace
 from ember_ros.plan import Plan
 from ember_ros.run import run
 from ember_ros.versions import versions
-from leg_node.table import save_table
+from leg_node.table_file import save_table
 
 CYCLES = 1000
 RECORDED = ("random", "scripted")

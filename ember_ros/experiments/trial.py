@@ -33,7 +33,8 @@ from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
 from ember_ros.versions import versions
 from leg_node.gait import LegGait
 from leg_node.state import Partition
-from leg_node.table import Ints, Table, load_table, save_table
+from leg_node.table import Ints, Table
+from leg_node.table_file import load_table, save_table
 
 TILT_RAD, LOW_M = 0.3, 0.36
 """A cycle with more tilt or lower hips than this is counted as outside, fall or no fall."""
