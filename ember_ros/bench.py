@@ -22,7 +22,7 @@ from ember_ros.params import Params, cells_sha256
 from ember_ros.plan import Plan, make_world
 from ember_ros.report.recorder import Recorder
 from ember_ros.run import TABLE
-from ember_ros.signals import BodyState, LegCommand, LegSense, Pair, Phase
+from ember_ros.signals import BodyState, LegCommand, LegSense, Pair, Phase, Transition
 from ember_ros.versions import versions
 from leg_node.shared import Push, SharedTable
 from leg_node.table import empty_table
@@ -35,7 +35,9 @@ class _Tape:
     """Keeps a run's signals, to be used again."""
 
     def __init__(self) -> None:
-        self.ticks: list[tuple[Phase, tuple[LegSense, ...], tuple[LegCommand, ...]]] = []
+        self.ticks: list[
+            tuple[Phase, tuple[LegSense, ...], tuple[LegCommand, ...], tuple[Transition, ...]]
+        ] = []
 
     def tick(
         self,
@@ -43,9 +45,12 @@ class _Tape:
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
+        transitions: Sequence[Transition | None],
     ) -> None:
         """Keep one tick."""
-        self.ticks.append((phase, tuple(senses), tuple(c for c in commands if c is not None)))
+        asked = tuple(c for c in commands if c is not None)
+        paid = tuple(t for t in transitions if t is not None)
+        self.ticks.append((phase, tuple(senses), asked, paid))
 
 
 def bench(
@@ -138,7 +143,7 @@ def _physics(plan: Plan, tape: _Tape) -> float:
     """Drive the motors as the loop did, and sense nothing."""
     world: Any = make_world(plan.world, plan.params, plan.seed)
     began = time.perf_counter()
-    for phase, _, commands in tape.ticks:
+    for phase, _, commands, _ in tape.ticks:
         world.coast(phase, commands)
     took = time.perf_counter() - began
     world.close()
@@ -192,19 +197,21 @@ def _conversion(plan: Plan, tape: _Tape) -> float:
     gait = plan.params.gait
     senses = [wire.SenseWire(leg, gait.tick_ns) for leg in plan.legs]
     commands = [wire.CommandWire(leg, gait.tick_ns) for leg in plan.legs]
+    transitions = [wire.TransitionWire(leg, gait.tick_ns) for leg in plan.legs]
     began = time.perf_counter()
-    for phase, felt, asked in tape.ticks:
+    for phase, felt, asked, paid in tape.ticks:
         ns = wire.read_clock(wire.pack_clock(felt[0].tick * gait.tick_ns), "clock")
         told = wire.pack_phase(phase)
         wire.read_phase(told, gait.ticks, "phase")
-        for sense_wire, command_wire, sense, command in zip(
-            senses, commands, felt, asked, strict=True
+        for sense_wire, command_wire, transition_wire, sense, command, did in zip(
+            senses, commands, transitions, felt, asked, paid, strict=True
         ):
             joints, contact = sense_wire.pack(sense)
             tick, first = sense_wire.read_joints(joints)
             sense_wire.sense(tick, first, sense_wire.read_contact(contact)[1])
             wire.read_phase(told, gait.ticks, "phase")
             command_wire.read(command_wire.pack(command))
+            transition_wire.read(transition_wire.pack(did))
     assert ns == (len(tape.ticks) - 1) * gait.tick_ns
     return time.perf_counter() - began
 

@@ -154,7 +154,9 @@ def replay_command(
         console.print(f"The record ends early: {done.missing}.")
     if done.difference is not None:
         console.print(f"First difference: {done.difference}.")
-    elif done.equal:
+    if done.paid_otherwise is not None:
+        console.print(f"First difference in what a leg was paid: {done.paid_otherwise}.")
+    if done.equal:
         console.print("Equal so far." if done.stopped else "Equal, bit for bit.")
     if not done.equal:
         sys.exit(DIFFERENT)

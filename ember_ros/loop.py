@@ -5,32 +5,16 @@ The graph carries the same values in messages and must end with the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
-
 from cpg_node.cpg import FixedPeriod
+from ember_ros.observer import Observer
 from ember_ros.params import cells_sha256
 from ember_ros.plan import Plan, make_world
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from ember_ros.signals import LegCommand, LegSense, Phase
 from leg_node.module import LegModule
 from leg_node.shared import SharedTable
 from leg_node.table import Table, empty_table
 from leg_node.table_file import load_table
 from sim_node.world import World
-
-
-class Observer(Protocol):
-    """Somebody who hears every tick and is heard by no one."""
-
-    def tick(
-        self,
-        phase: Phase,
-        senses: Sequence[LegSense],
-        commands: Sequence[LegCommand | None],
-        body: BodyState,
-    ) -> None:
-        """Take one complete tick."""
-        ...
 
 
 def act(shared: SharedTable, leg: LegModule, sense: LegSense, phase: Phase) -> LegCommand:
@@ -95,8 +79,9 @@ class Loop:
             act(self.shared, leg, sense, phase)
             for leg, sense in zip(self.legs, senses, strict=True)
         ]
+        transitions = [leg.transition for leg in self.legs]
         for observer in observers:
-            observer.tick(phase, senses, commands, self.world.body())
+            observer.tick(phase, senses, commands, self.world.body(), transitions)
         self.world.step(phase, commands)
         self.now += 1
 

@@ -105,7 +105,8 @@ def run(
 
 
 def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> None:
-    from ember_ros.loop import Loop, Observer
+    from ember_ros.loop import Loop
+    from ember_ros.observer import Observer
 
     loop = Loop(plan)
     recorder = Recorder(plan.params, plan.legs, out)

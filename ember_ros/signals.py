@@ -83,6 +83,43 @@ class Pair(NamedTuple):
     """The temporal-difference target: reward + gamma * max Q(next state)."""
 
 
+class Transition(NamedTuple):
+    """What one leg did in a tick and what it was paid for it, known at the start of tick ``tick``.
+
+    It speaks of the tick that just ended, as the force in ``LegSense`` does. A leg says it for
+    records, reports and viewers; no other leg hears it.
+    """
+
+    tick: int
+    """The tick at which it is known, one after the tick that it speaks of."""
+    stance: bool
+    """Whether the tick was rewarded as stance is."""
+    state: int
+    """In which the action was chosen, 0 or more; -1 where there is nothing to credit: at the first
+    tick, after a restart, or after ticks that were missed."""
+    action: int
+    """Index into ``leg.knee_speeds``; -1 where there is nothing to credit."""
+    terms: tuple[tuple[str, float], ...]
+    """Every weighted term of the reward by name, always the same names in the same order; 0 for a
+    term that did not apply."""
+
+    @property
+    def credited(self) -> bool:
+        """Return whether there was a tick to credit."""
+        return self.action >= 0
+
+    @property
+    def reward(self) -> float:
+        """Return the reward: the terms added from the first to the last.
+
+        Not by ``sum``, which since Python 3.12 rounds otherwise than before.
+        """
+        total = 0.0
+        for _, value in self.terms:
+            total += value
+        return total
+
+
 class BodyState(NamedTuple):
     """The world's truth about what the legs carry: for reports and viewers, never for a leg."""
 

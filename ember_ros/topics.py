@@ -10,6 +10,8 @@ name                       type                        carries
 ``<leg>/joint_states``     sensor_msgs/JointState      hip, knee: rad and rad/s
 ``<leg>/contact``          sensor_msgs/JointState      what the foot feels, see ``wire.CONTACT``
 ``<leg>/command``          sensor_msgs/JointState      hip, knee: rad/s and largest N m
+``<leg>/transition``       sensor_msgs/JointState      what the leg was paid, by term, and for what:
+                                                       see ``wire.TRANSITION``
 ``falls``                  std_msgs/Int64              falls so far
 ``odometry``               nav_msgs/Odometry           the body's pose, for viewers and bags
 ``diagnostics``            diagnostic_msgs/            who is absent, what was refused
@@ -136,3 +138,8 @@ def contact(leg: str) -> Topic:
 def command(leg: str) -> Topic:
     """Return the topic of what a leg asks of its motors."""
     return Topic(f"{leg}/command", JOINT_STATE)
+
+
+def transition(leg: str) -> Topic:
+    """Return the topic of what a leg did in the tick that ended, and what it was paid for it."""
+    return Topic(f"{leg}/transition", JOINT_STATE)

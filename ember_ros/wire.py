@@ -14,17 +14,20 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 from ember_ros import topics
 from ember_ros.errors import ParameterError, SignalError
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
 
 JOINTS = ("hip", "knee")
 CONTACT = ("slip", "inclination", "hair", "touch", "restart", "load", "load_peak")
 """What ``<leg>/contact`` names. The first five are in ``position``: m, rad, and three bits as 0 or
 1; ``load`` and ``load_peak`` are in ``effort``: N, mean and largest of the tick. The rest is 0."""
+TRANSITION = ("stance", "state", "action")
+"""What ``<leg>/transition`` names first, in ``position``: 0 or 1, and two indexes, -1 where there
+is nothing to credit; every term of the reward follows by its own name, weighted."""
 GIGA = 1_000_000_000
 CDR = b"\x00\x01\x00\x00"
 """The four bytes before every message: plain CDR, little endian."""
@@ -135,21 +138,22 @@ class Stamped(NamedTuple):
     ns: int
     first: tuple[float, ...]
     second: tuple[float, ...]
+    """Empty where only one array is in use."""
 
 
 class JointWire:
-    """A sensor_msgs/JointState of fixed names, two of its three arrays in use."""
+    """A sensor_msgs/JointState of fixed names, one or two of its three arrays in use."""
 
     FIELDS = ("position", "velocity", "effort")
 
-    def __init__(self, frame: str, names: Sequence[str], first: str, second: str) -> None:
+    def __init__(self, frame: str, names: Sequence[str], first: str, second: str = "") -> None:
         """Lay the message out.
 
         Args:
             frame: ``header.frame_id``.
             names: of the joints.
             first: of ``FIELDS``, the array in use.
-            second: the other one, behind ``first`` in ``FIELDS``.
+            second: the other one, behind ``first`` in ``FIELDS``; none without.
         """
         self.names, self.first, self.second = list(names), first, second
         n = len(self.names)
@@ -168,15 +172,16 @@ class JointWire:
                 form += f"{len(constants[-1])}s{n}d"
                 data += bytes(8 * n)
                 done = len(data)
-        self._between, self._behind, rest = constants[0], constants[1], data[done:]
+        rest = data[done:]
+        self._between, self._behind = constants[0], tuple(constants[1:])
         self._rest = rest
         self._struct = struct.Struct(f"{form}{len(rest)}s")
         self._n = n
 
-    def pack(self, ns: int, first: Sequence[float], second: Sequence[float]) -> bytes:
+    def pack(self, ns: int, first: Sequence[float], second: Sequence[float] = ()) -> bytes:
         """Return the message with a stamp of ``ns`` and these numbers, one a name."""
         return self._struct.pack(
-            CDR, *divmod(ns, GIGA), self._between, *first, self._behind, *second, self._rest
+            CDR, *divmod(ns, GIGA), self._between, *first, *self._behind, *second, self._rest
         )
 
     def read(self, data: Bytes, where: str) -> Stamped:
@@ -185,22 +190,24 @@ class JointWire:
         Raises:
             SignalError: it is no JointState, has other names or lengths, or is not finite.
         """
+        return self.read_ours(data) or self._read_slowly(data, where)
+
+    def read_ours(self, data: Bytes) -> Stamped | None:
+        """Return the numbers in a message that is laid out as ``pack`` does it; None of others."""
         n = self._n
         if len(data) == self._struct.size:
             parts = self._struct.unpack(data)
             if (
                 parts[0] == CDR
                 and parts[3] == self._between
-                and parts[4 + n] == self._behind
+                and parts[4 + n : 4 + n + len(self._behind)] == self._behind
                 and parts[-1] == self._rest
             ):
-                stamped = Stamped(
-                    parts[1] * GIGA + parts[2], parts[4 : 4 + n], parts[5 + n : 5 + 2 * n]
-                )
+                stamped = Stamped(parts[1] * GIGA + parts[2], parts[4 : 4 + n], parts[5 + n : -1])
                 total = sum(stamped.first) + sum(stamped.second)
                 if total - total == 0.0:
                     return stamped
-        return self._read_slowly(data, where)
+        return None
 
     def _read_slowly(self, data: Bytes, where: str) -> Stamped:
         """Read a message that others made, or say what is wrong with it."""
@@ -211,6 +218,9 @@ class JointWire:
             )
         numbers = []
         for field in (self.first, self.second):
+            if not field:
+                numbers.append(())
+                continue
             numbers.append(tuple(getattr(message, field)))
             if len(numbers[-1]) != self._n:
                 raise SignalError(
@@ -308,6 +318,91 @@ class CommandWire:
         return LegCommand(
             tick_of(stamped.ns, self._tick_ns, where), *stamped.first, *stamped.second
         )
+
+
+class TransitionWire:
+    """The message in which a leg says what it was paid, for what."""
+
+    def __init__(self, leg: str, tick_ns: int) -> None:
+        """Lay out the message of ``leg``; whose terms they are is found in what it says."""
+        self._leg, self._tick_ns = leg, tick_ns
+        self._wire = self._layout(())
+
+    def _layout(self, terms: Sequence[str]) -> JointWire:
+        return JointWire(f"{self._leg}_thigh", (*TRANSITION, *terms), "position")
+
+    def pack(self, did: Transition) -> bytes:
+        """Return ``<leg>/transition``."""
+        names = [name for name, _ in did.terms]
+        if self._wire.names[len(TRANSITION) :] != names:
+            self._wire = self._layout(names)
+        return self._wire.pack(
+            did.tick * self._tick_ns,
+            (did.stance, did.state, did.action, *[value for _, value in did.terms]),
+        )
+
+    def read(self, data: Bytes) -> Transition:
+        """Return the transition in a message.
+
+        Raises:
+            SignalError: it does not carry what it should.
+        """
+        where = f"{self._leg}/transition"
+        stamped = self._wire.read_ours(data)
+        if stamped is None:  # of other terms than the last one, or not as we write it
+            self._wire = self._layout(self._terms(data, where))
+            stamped = self._wire.read(data, where)
+        stance, state, action, *values = stamped.first
+        if stance not in (0.0, 1.0) or state != int(state) or action != int(action):
+            raise SignalError(
+                f"{where}: stance {stance}, state {state}, action {action}; a bit and two whole "
+                "numbers would be right"
+            )
+        names = self._wire.names[len(TRANSITION) :]
+        return Transition(
+            tick_of(stamped.ns, self._tick_ns, where),
+            stance == 1.0,
+            int(state),
+            int(action),
+            tuple(zip(names, values, strict=True)),
+        )
+
+    @staticmethod
+    def _terms(data: Bytes, where: str) -> list[str]:
+        """Return the names of the terms in a message."""
+        names = list(_names(data, where))
+        if tuple(names[: len(TRANSITION)]) != TRANSITION:
+            raise SignalError(
+                f"{where}: names {names[:8]}; {list(TRANSITION)} and the reward's terms would be "
+                "right"
+            )
+        return names[len(TRANSITION) :]
+
+
+def _names(data: Bytes, where: str) -> Iterator[str]:
+    """Yield the names in a sensor_msgs/JointState of plain little-endian CDR.
+
+    Raises:
+        SignalError: it is none.
+    """
+    content, at = bytes(data[4:]), 8
+    try:
+        if data[:4] != CDR:
+            raise ValueError
+        (length,) = struct.unpack_from("<I", content, at)
+        at += 4 + length
+        at += -at % 4
+        (count,) = struct.unpack_from("<I", content, at)
+        at += 4
+        for _ in range(count):
+            at += -at % 4
+            (length,) = struct.unpack_from("<I", content, at)
+            at += 4 + length
+            if at > len(content):
+                raise ValueError
+            yield content[at - length : at].decode().removesuffix("\0")
+    except (struct.error, ValueError) as error:
+        raise SignalError(f"{where}: {len(content)} bytes are no plain JointState") from error
 
 
 # -- the body --------------------------------------------------------------------------------

@@ -10,11 +10,11 @@ from typing import NamedTuple
 from ember_ros.errors import ParameterError
 from ember_ros.params import Learning, Params, cells_sha256
 from ember_ros.randomness import generator
-from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense, Pair, Phase
+from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense, Pair, Phase, Transition
 from leg_node.gait import LegGait
 from leg_node.policy import POLICIES, EpsilonGreedy, Policy, Random, Scripted
 from leg_node.reading import PlainReading, Reading, SmoothReading
-from leg_node.reward import Rewarder
+from leg_node.reward import Rewarder, RewardFunction
 from leg_node.shared import LocalCopy
 from leg_node.state import Partition
 from leg_node.table import Table, empty_table
@@ -46,7 +46,7 @@ class LegModule:
         table: Table | None = None,
         run: str = "run",
         partition: Partition | None = None,
-        rewarder: Rewarder | None = None,
+        rewarder: RewardFunction | None = None,
     ) -> None:
         """Make a leg.
 
@@ -86,7 +86,7 @@ class LegModule:
         self._gait = LegGait(params.gait, leg)
         self._lead = params.reward.lead
         self._partition = partition or Partition(params)
-        self._rewarder = rewarder or Rewarder(params)
+        self._rewarder: RewardFunction = rewarder or Rewarder(params)
         self.copy = LocalCopy(
             table if table is not None else empty_table(params),
             leg=self.position,
@@ -103,6 +103,8 @@ class LegModule:
         self._actions = len(params.leg.knee_speeds)
         self._tick_s = params.gait.tick_s
         self._pending: _Pending | None = None
+        self.transition = self._nothing_to_credit(-1)
+        """What the last tick that ended was worth, as of the last call of ``tick``."""
 
     def _make_policy(self, name: str | Policy, numbers: Learning, seed: int) -> Policy:
         if not isinstance(name, str):
@@ -116,11 +118,15 @@ class LegModule:
         return EpsilonGreedy(self._reading, numbers, actions, self._params.gait.ticks, rng)
 
     def tick(self, sense: LegSense, phase: Phase) -> LegCommand:
-        """Take the senses and the phase of one tick, learn from the tick before, and act."""
+        """Take the senses and the phase of one tick, learn from the tick before, and act.
+
+        What was learnt from is in ``transition`` afterwards.
+        """
         stance = self._gait.stance(phase)
         state = self._partition.index(sense, stance)
-        if self.learning and not sense.restart:
-            self._learn(sense, state)
+        self.transition = self.credit(sense)
+        if self.learning and self.transition.credited:
+            self._learn(self.transition, state)
         action = self._policy.choose(sense, phase, state)
         stance = self._gait.rewarded_as_stance(phase, self._lead)
         self._pending = _Pending(sense.tick, state, action, stance)
@@ -131,14 +137,22 @@ class LegModule:
         self._pending = None
         self.copy.restart(last_tick, run)
 
-    def _learn(self, sense: LegSense, state: int) -> None:
-        """Credit the tick that just ended: one step of Q-learning [Watkins 1989]."""
+    def credit(self, sense: LegSense) -> Transition:
+        """Return what the tick that ended with ``sense`` was worth; nothing is learnt from it."""
         did = self._pending
-        if did is None or did.tick + 1 != sense.tick:
-            return  # the first tick, or ticks were missed: nothing can be credited
-        reward = self._rewarder(sense, did.stance)
-        target = reward + self._gamma * max(self._reading.row(sense.tick, state))
-        self.copy.learn(Pair(sense.tick, did.state * self._actions + did.action, target))
+        if did is None or sense.restart or did.tick + 1 != sense.tick:
+            return self._nothing_to_credit(sense.tick)
+        terms = self._rewarder.terms(sense, did.stance)
+        paid = tuple([(name, terms.get(name, 0.0)) for name in self._rewarder.names])
+        return Transition(sense.tick, did.stance, did.state, did.action, paid)
+
+    def _nothing_to_credit(self, tick: int) -> Transition:
+        return Transition(tick, False, -1, -1, tuple((n, 0.0) for n in self._rewarder.names))
+
+    def _learn(self, did: Transition, state: int) -> None:
+        """Learn from a tick that led to ``state``: one step of Q-learning [Watkins 1989]."""
+        target = did.reward + self._gamma * max(self._reading.row(did.tick, state))
+        self.copy.learn(Pair(did.tick, did.state * self._actions + did.action, target))
 
     def _command(self, sense: LegSense, phase: Phase, action: int) -> LegCommand:
         """Drive the hip to the ramp's end of this tick and the knee at the chosen speed."""

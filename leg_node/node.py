@@ -32,7 +32,7 @@ class LegNode(Node):  # type: ignore[misc]
 
     Subscribes: ``<leg>/joint_states``, ``<leg>/contact`` (sensor_msgs/JointState), ``cpg/phase``
     (std_msgs/Float64).
-    Publishes: ``<leg>/command`` (sensor_msgs/JointState).
+    Publishes: ``<leg>/command``, ``<leg>/transition`` (sensor_msgs/JointState).
     Calls: ``table/push``, ``table/pull``, unless ``shared`` is false or it has no use for a table
     (another policy than ``learned``, and ``learning`` false).
     Parameters: ``gait.*``, ``leg.*``, ``state.*``, ``reward.*``, ``train.*``, ``walk.*``; ``leg``,
@@ -84,6 +84,7 @@ class LegNode(Node):  # type: ignore[misc]
         self._inbox = Inbox("joints", "contact", "phase")
         self._senses = wire.SenseWire(leg, params.gait.tick_ns)
         self._commands = wire.CommandWire(leg, params.gait.tick_ns)
+        self._transitions = wire.TransitionWire(leg, params.gait.tick_ns)
         self._logged = -LOG_EVERY_S
         # What a tick waits for: an answer of the table. None when it waits for nothing.
         self._waiting: Callable[[], None] | None = None
@@ -93,6 +94,9 @@ class LegNode(Node):  # type: ignore[misc]
         self._table_away = False
         self._pushing: Push | None = None
 
+        # Before the command: endpoints are discovered in the order they are made, so a world that
+        # knows of the command knows that this leg says what it is paid.
+        self._transition = topics.transition(leg).publish(self)
         self._command = topics.command(leg).publish(self)
         topics.joint_states(leg).subscribe(self, self._hear_joints)
         topics.contact(leg).subscribe(self, self._hear_contact)
@@ -197,6 +201,7 @@ class LegNode(Node):  # type: ignore[misc]
             self._held = self._wait(lambda: self._say(command))
 
     def _say(self, command: LegCommand) -> None:
+        self._transition.publish(self._transitions.pack(self.module.transition))
         self._command.publish(self._commands.pack(command))
         for tick in self._inbox.later("phase"):  # what came while this tick waited
             if self._waiting is None:

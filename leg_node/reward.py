@@ -1,12 +1,15 @@
 """What a leg is rewarded for, from its own senses (paper, section VI-A). Pure.
 
-Each term is a function of its own; ``Rewarder`` weighs and adds them, one set for stance and
-another for swing. The switch between the two is synchronous with the hip, but may lead it by
-``reward.lead`` ticks (``LegGait.rewarded_as_stance``). To swap a reward, write a class with the
-same call.
+Each term is a function of its own; ``Rewarder`` weighs them, one set for stance and another for
+swing; the reward is their sum. The switch between the two is synchronous with the hip, but may lead
+it by ``reward.lead`` ticks (``LegGait.rewarded_as_stance``). To swap a reward, write a class with
+``names`` and ``terms`` and give it to the leg module: whoever reports what a leg was paid reads it
+from the leg's ``Transition``.
 """
 
 from __future__ import annotations
+
+from typing import Protocol
 
 from ember_ros import kinematics
 from ember_ros.params import Params, Reward
@@ -28,12 +31,30 @@ def force_term(reward: Reward, loads: float) -> float:
     return min(max(0.0, loads - reward.force_limit), reward.force_most)
 
 
+class RewardFunction(Protocol):
+    """What a leg is paid for a tick, as named terms."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of all terms, in the order in which they are added."""
+        ...
+
+    def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
+        """Return the weighted terms that apply, by name; the reward is their sum."""
+        ...
+
+
 class Rewarder:
-    """The reward of one tick.
+    """The paper's reward of one tick.
 
     Stance, in contact: slip + height - excess force; without contact: lost contact + height.
     Swing: free, or strike - excess force.
     """
+
+    names: tuple[str, ...] = (
+        "height", "slip", "lost_contact", "swing_strike", "swing_free", "force",
+    )  # fmt: skip
+    """Of all terms, in the order in which they are added."""
 
     def __init__(self, params: Params) -> None:
         """Take the weights from ``params.reward``."""
@@ -41,7 +62,7 @@ class Rewarder:
         self._leg = params.leg
 
     def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
-        """Return the weighted terms by name; the reward is their sum.
+        """Return the weighted terms that apply, by name; the reward is their sum.
 
         Args:
             sense: at the end of the tick that is rewarded.
@@ -64,7 +85,3 @@ class Rewarder:
         if touched:
             terms["force"] = reward.force * force_term(reward, sense.force_peak / leg.load)
         return terms
-
-    def __call__(self, sense: LegSense, stance: bool) -> float:
-        """Return the reward of the tick that ended with ``sense``."""
-        return sum(self.terms(sense, stance).values())

@@ -18,10 +18,11 @@ from ember_ros.bag.recording import Recording, Told
 from ember_ros.bag.scribe import Scribe
 from ember_ros.bag.storage import BagOptions
 from ember_ros.errors import BagError, SignalError
+from ember_ros.observer import Observer
 from ember_ros.plan import legs_of, make_world
 from ember_ros.report.recorder import Recorder
 from ember_ros.ros_params import declare_options, declare_params
-from ember_ros.signals import LegCommand, Phase
+from ember_ros.signals import LegCommand, Phase, Transition
 from ember_ros.spinning import main_of
 from sim_node.world import World
 
@@ -43,11 +44,12 @@ class SimNode(Node):  # type: ignore[misc]
     lockstep the world is never further ahead of it than what lies between two processes can hold.
 
     Subscribes: ``cpg/phase`` (std_msgs/Float64), ``<leg>/command`` (sensor_msgs/JointState),
+    ``<leg>/transition`` (sensor_msgs/JointState) of legs that say what they were paid,
     ``recorder/tick`` (std_msgs/Int64).
     Publishes: ``clock`` (rosgraph_msgs/Clock), ``<leg>/joint_states``, ``<leg>/contact``
     (sensor_msgs/JointState), ``falls`` (std_msgs/Int64), ``odometry`` (nav_msgs/Odometry),
     ``diagnostics`` (diagnostic_msgs/DiagnosticArray).
-    Parameters: ``gait.*``, ``leg.*``, ``physics.*``, ``trainer.*``, ``walker.*``, ``reward.*``;
+    Parameters: ``gait.*``, ``leg.*``, ``physics.*``, ``trainer.*``, ``walker.*``;
     ``world``, ``mode``, ``gui``, ``cycles``, ``patience``, ``out``, ``seed``; ``bag``, ``storage``,
     ``split_mb``, ``split_s`` to record a bag; ``recorder`` to wait for a node that does.
     """
@@ -65,7 +67,7 @@ class SimNode(Node):  # type: ignore[misc]
         """
         super().__init__("sim_node", automatically_declare_parameters_from_overrides=True, **kwargs)
         self.done = False
-        params = declare_params(self, ("gait", "leg", "physics", "trainer", "walker", "reward"))
+        params = declare_params(self, ("gait", "leg", "physics", "trainer", "walker"))
         options = declare_options(
             self,
             (
@@ -80,6 +82,8 @@ class SimNode(Node):  # type: ignore[misc]
         self.recorder = Recorder(
             params, self.legs, Path(options["out"]) if options["out"] else None
         )
+        self.observers: list[Observer] = [self.recorder]
+        """Who hears every tick."""
         self._kind: str = options["world"]
         self._bag: Scribe | None = None
         self._recording: Recording | None = None
@@ -98,6 +102,8 @@ class SimNode(Node):  # type: ignore[misc]
         self._tick = 0
         self._phase: Phase | None = None
         self._commands: dict[str, LegCommand] = {}
+        self._transitions: dict[str, Transition] = {}
+        self._telling: set[str] = set()  # legs that say what they were paid
         self._heard: dict[str, bytes] = {}  # the same and the phase, as they came
         self._told: tuple[Any, ...] = ()  # what was published of the present tick, as it went
         self._absent: set[str] = set()
@@ -118,6 +124,10 @@ class SimNode(Node):  # type: ignore[misc]
         self._phase_subscription = topics.PHASE.subscribe(self, self._hear_phase)
         self._subscriptions_by_leg = {
             leg: topics.command(leg).subscribe(self, self._listener(leg)) for leg in self.legs
+        }
+        self._transitions_by_leg = {
+            leg: topics.transition(leg).subscribe(self, self._transition_listener(leg))
+            for leg in self.legs
         }
         topics.RECORDED.subscribe(self, self._hear_recorder)
         if self._last == 0:
@@ -188,6 +198,27 @@ class SimNode(Node):  # type: ignore[misc]
 
         return hear
 
+    def _transition_listener(self, leg: str) -> Callable[[bytes], None]:
+        reader = wire.TransitionWire(leg, self._tick_ns)
+
+        def hear(data: bytes) -> None:
+            if self.done:
+                return
+            try:
+                did = reader.read(data)
+            except SignalError as why:
+                self._refuse(why)
+                return
+            self._telling.add(leg)
+            if did.tick == self._tick and self._started:
+                self._transitions[leg] = did
+                self._heard[topics.transition(leg).name] = data
+                self._step_if_complete()
+            elif did.tick > self._tick:
+                self._refuse(f"{leg}/transition: tick {did.tick} is not yet, now is {self._tick}")
+
+        return hear
+
     def _hear_recorder(self, data: bytes) -> None:
         try:
             self._recorded = wire.read_int(data, topics.RECORDED.name, -1)
@@ -211,6 +242,7 @@ class SimNode(Node):  # type: ignore[misc]
         """Say what is sensed at the present tick, and what time it is."""
         self._phase = None
         self._commands.clear()
+        self._transitions.clear()
         self._heard.clear()
         ns, body, falls = self._tick * self._tick_ns, self.world.body(), None
         felt = [w.pack(sense) for w, sense in zip(self._wires, self.world.observe(), strict=True)]
@@ -238,17 +270,29 @@ class SimNode(Node):  # type: ignore[misc]
         """Step once the phase and the commands of everybody present are in."""
         if self._realtime or self._held or self._phase is None or not self._commands:
             return
-        if all(leg in self._commands or leg in self._absent for leg in self.legs):
+        if all(self._answered(leg) or leg in self._absent for leg in self.legs):
             self._step()
+
+    def _answered(self, leg: str) -> bool:
+        """Return whether a leg's command is in, and what it was paid, if it says that."""
+        return leg in self._commands and (leg in self._transitions or leg not in self._telling)
 
     def _step(self) -> None:
         """Advance the world by the present tick, and begin the next one."""
         assert self._phase is not None
         commands = [self._commands.get(leg) for leg in self.legs]
-        self.recorder.tick(self._phase, self.world.observe(), commands, self.world.body())
+        transitions = [self._transitions.get(leg) for leg in self.legs]
+        for observer in self.observers:
+            observer.tick(
+                self._phase, self.world.observe(), commands, self.world.body(), transitions
+            )
         if self._recording is not None:
             heard = self._heard.get
-            said = heard(topics.PHASE.name), [heard(leg) for leg in self.legs]
+            said = (
+                heard(topics.PHASE.name),
+                [heard(leg) for leg in self.legs],
+                [heard(topics.transition(leg).name) for leg in self.legs],
+            )
             try:
                 self._recording.put(self._tick, Told._make((*self._told, *said)))
             except BagError as error:
@@ -290,6 +334,11 @@ class SimNode(Node):  # type: ignore[misc]
                 "another sim_node publishes the same clock: give one of them a namespace "
                 "(-r __ns:=/robot_2) or another ROS_DOMAIN_ID"
             )
+        self._telling = {
+            leg
+            for leg, subscription in self._transitions_by_leg.items()
+            if subscription.handle.get_publisher_count()
+        }
         self._started = True
         self._next()
 
@@ -351,7 +400,9 @@ class SimNode(Node):  # type: ignore[misc]
             self._diagnose()
         else:
             for leg in self.legs:
-                if leg not in self._commands and leg not in self._absent:
+                if leg in self._commands and not self._answered(leg):
+                    self._telling.discard(leg)  # it answers, and says no more what it was paid
+                elif leg not in self._commands and leg not in self._absent:
                     self._absent.add(leg)
                     self.get_logger().warning(
                         f"{leg} did not answer within {self._patience} s at tick {self._tick}: "

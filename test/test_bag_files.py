@@ -46,7 +46,8 @@ from ember_ros.bag.recording import Recording, Told
 from ember_ros.bag.repair import DRAFT, Repaired, repair
 from ember_ros.bag.storage import METADATA, STORAGES, BagOptions, BagWriter, read_metadata, seal
 from ember_ros.errors import BagError
-from ember_ros.loop import Loop, Observer
+from ember_ros.loop import Loop
+from ember_ros.observer import Observer
 from ember_ros.params import Params
 from ember_ros.plan import Plan
 from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Phase
@@ -201,7 +202,7 @@ class Heard:
         self.commands: list[tuple[LegCommand | None, ...]] = []
         self.bodies: list[BodyState] = []
 
-    def tick(self, phase: Phase, senses: Any, commands: Any, body: BodyState) -> None:
+    def tick(self, phase: Phase, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
         """Keep a tick."""
         self.phases.append(phase)
         self.senses.append(tuple(senses))
@@ -803,6 +804,7 @@ def expected_order(heard: Heard, legs: Sequence[str] = LEGS) -> list[tuple[str, 
         for leg, command in zip(legs, heard.commands[tick], strict=True):
             if command is not None:
                 found.append((f"/{leg}/command", tick))
+        found += [(f"/{leg}/transition", tick) for leg in legs]
         if (tick + 1) % FLUSH == 0 or tick + 1 == len(heard.bodies):
             found.append(("/run/crc", tick))
     return found
@@ -967,10 +969,10 @@ class Without:
     def __init__(self, other: Observer, missing: Callable[[int, int], bool]) -> None:
         self._other, self._missing = other, missing
 
-    def tick(self, phase: Phase, senses: Any, commands: Any, body: BodyState) -> None:
+    def tick(self, phase: Phase, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
         """Pass a tick on."""
         left = [None if self._missing(senses[0].tick, n) else c for n, c in enumerate(commands)]
-        self._other.tick(phase, senses, left, body)
+        self._other.tick(phase, senses, left, body, paid)
 
 
 def test_an_absent_command_leaves_no_message(tmp_path: Path) -> None:
@@ -1045,6 +1047,7 @@ def told(tick: int, *, silent: Sequence[int] = (), numb: Sequence[int] = ()) -> 
         [None if n in silent or n in numb else b"contact%d" % n + mark for n in range(4)],
         b"phase" + mark,
         [None if n in silent else b"command%d" % n + mark for n in range(4)],
+        [None if n in silent else b"transition%d" % n + mark for n in range(4)],
     )
 
 
@@ -1072,7 +1075,7 @@ def test_bytes_that_were_heard_are_kept_as_they_are(tmp_path: Path) -> None:
     expected = []
     for tick, one in said.items():
         senses = [each for pair in zip(one.joints, one.contacts, strict=True) for each in pair]
-        parts = [one.clock, one.odometry, *senses, one.phase, *one.commands]
+        parts = [one.clock, one.odometry, *senses, one.phase, *one.commands, *one.transitions]
         expected += [(tick * TICK_NS, data) for data in parts if data is not None]
     assert [(message.ns, message.data) for message in heard] == expected
     assert crcs(tmp_path / "bag") == {
@@ -1692,7 +1695,7 @@ class Extreme:
     def __init__(self, other: Observer) -> None:
         self._other = other
 
-    def tick(self, phase: Phase, senses: Any, commands: Any, body: BodyState) -> None:
+    def tick(self, phase: Phase, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
         """Pass a tick on."""
         if senses[0].tick == 9:
             hard = senses[1]._replace(
@@ -1700,7 +1703,7 @@ class Extreme:
             )
             senses = (senses[0], hard, *senses[2:])
             body = body._replace(x=-1e-300, yaw=3.14159)
-        self._other.tick(phase, senses, commands, body)
+        self._other.tick(phase, senses, commands, body, paid)
 
 
 def bag_for_readers(folder: Path, state: str) -> dict[str, int]:
@@ -1719,7 +1722,7 @@ def bag_for_readers(folder: Path, state: str) -> dict[str, int]:
     counts |= {"/clock": ticks, "/odometry": ticks, "/cpg/phase": ticks}
     counts["/falls"] = 1 + len(FALLS_AT)
     for leg in LEGS:
-        for what in ("joint_states", "contact", "command"):
+        for what in ("joint_states", "contact", "command", "transition"):
             counts[f"/{leg}/{what}"] = ticks
     return counts
 

@@ -43,7 +43,7 @@ from ember_ros.loop import Loop
 from ember_ros.params import Params, as_dict, params_sha256, replace
 from ember_ros.plan import Plan, legs_of
 from ember_ros.report.recorder import BODY, Recorder, Row, load_record
-from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Phase
+from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Phase, Transition
 from leg_node.gait import LegGait
 from leg_node.reward import Rewarder
 from leg_node.state import Partition
@@ -101,9 +101,11 @@ class Listener:
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
+        transitions: Sequence[Transition | None],
     ) -> None:
         """Keep one tick."""
-        self.heard.append(Tick(senses[0].tick, phase, tuple(senses), tuple(commands), body))
+        told = tuple(senses), tuple(commands), body, tuple(transitions)
+        self.heard.append(Tick(senses[0].tick, phase, *told))
 
 
 class Run(NamedTuple):
@@ -659,7 +661,7 @@ def test_commands_that_nobody_gave_are_none(tmp_path: Path) -> None:
     table = empty_table(PARAMS)
     recording = Recording(writer, Card.of_plan(run.plan, table, {}), table)
     for tick, whole in zip(heard, run.heard, strict=True):
-        recording.tick(tick.phase, senses_of(whole), tick.commands, tick.body)
+        recording.tick(tick.phase, senses_of(whole), tick.commands, tick.body, tick.transitions)
     recording.finish()
     writer.close()
     hold_equal(read(tmp_path / "again"), heard)
@@ -1326,7 +1328,7 @@ def test_lines_are_those_that_were_written_beside_the_run(tmp_path: Path, world:
     last = run.heard[-1]
     recorder = Recorder(PARAMS, legs_of(world))
     for tick in run.heard:
-        recorder.tick(tick.phase, senses_of(tick), tick.commands, tick.body)
+        recorder.tick(tick.phase, senses_of(tick), tick.commands, tick.body, tick.transitions)
     ended = [each._replace(tick=each.tick + 1, restart=True) for each in senses_of(last)]
     recorder.finish(ended, last.body)
     hold_rows_equal(rows, recorder.rows)
@@ -1469,17 +1471,27 @@ def hold_line(line: dict[str, str], run: Run, tick: Tick, after: Tick | None, le
         else:
             value = getattr(sense, name)
             assert repr(type(value)(float(line[name]))) == repr(value)
-    assert line["state"] == ("" if sense is None else str(Partition(PARAMS).index(sense, stance)))
     for name in LegCommand._fields[1:]:
         said = line[f"command_{name}"]
         assert said == "" if command is None else repr(float(said)) == repr(getattr(command, name))
-    speeds = PARAMS.leg.knee_speeds
-    assert line["action"] == ("" if command is None else str(speeds.index(command.knee_speed)))
-    then = None if after is None else after.senses[n]
-    if then is None or then.restart:
-        assert line["reward"] == ""
+    speeds, rewarder = PARAMS.leg.knee_speeds, Rewarder(PARAMS)
+    did = None if after is None else after.transitions[n]
+    if after is None or did is None or not did.credited:
+        assert line["state"] == line["action"] == line["reward"] == ""
+        assert {line[f"reward_{name}"] for name in rewarder.names} == {""}
     else:
-        assert repr(float(line["reward"])) == repr(float(Rewarder(PARAMS)(then, paid)))
+        if sense is not None:
+            assert line["state"] == str(Partition(PARAMS).index(sense, stance))
+        if command is not None:
+            assert line["action"] == str(speeds.index(command.knee_speed))
+        then = after.senses[n]
+        if then is not None:
+            terms = dict.fromkeys(rewarder.names, 0.0) | rewarder.terms(then, paid)
+            assert {name: float(line[f"reward_{name}"]) for name in terms} == terms
+            total = 0.0
+            for value in terms.values():
+                total += value
+            assert repr(float(line["reward"])) == repr(total)
     for name in BodyState._fields:
         value = getattr(tick.body, name)
         assert float(line[f"body_{name}"]) == pytest.approx(value, abs=1e-9)
@@ -1495,7 +1507,8 @@ def test_a_line_a_tick_and_leg(tmp_path: Path, world: str) -> None:
         _, rows = look.info(opened)
     assert files == [tmp_path / "deep/csv" / name for name in ("cycles.csv", "ticks.csv")]
     lines = lines_of(files[1])
-    assert tuple(lines[0]) == look.TICK_COLUMNS
+    terms = (f"reward_{name}" for name in Rewarder.names)
+    assert tuple(lines[0]) == (*look.TICK_COLUMNS, *terms)
     assert len(lines) == len(run.heard) * len(run.plan.legs)
     rest = iter(lines)
     for tick, after in zip(run.heard, [*run.heard[1:], None], strict=True):
@@ -1512,12 +1525,13 @@ def test_a_line_a_tick_and_leg(tmp_path: Path, world: str) -> None:
 def test_what_is_missing_is_empty_in_its_line(
     walked: Run, messages: list[Raw], tmp_path: Path
 ) -> None:
-    """Lost senses, an absent command, a lost tick: empty there, and the reward before them too."""
+    """Lost senses, an absent command, what a leg was paid, a lost tick: empty there alone."""
     left = [
         raw
         for raw in messages
         if (raw.topic, raw.ns) != ("/rear_left/contact", 5 * TICK_NS)
         and (raw.topic, raw.ns) != ("/front_left/command", 8 * TICK_NS)
+        and (raw.topic, raw.ns) != ("/rear_right/transition", 9 * TICK_NS)
         and (raw.ns != 22 * TICK_NS)
     ]
     with Bag(write(tmp_path / "bag", left)) as opened:
@@ -1525,14 +1539,15 @@ def test_what_is_missing_is_empty_in_its_line(
     heard = {tick.tick: tick for tick in walked.heard if tick.tick != 22}
     heard[5] = heard[5]._replace(senses=(*heard[5].senses[:2], None, heard[5].senses[3]))
     heard[8] = heard[8]._replace(commands=(None, *heard[8].commands[1:]))
+    heard[9] = heard[9]._replace(transitions=(*heard[9].transitions[:3], None))
     lines = lines_of(files[1])
     assert len(lines) == 4 * len(heard)
     for line in lines:
         tick = heard[int(line["tick"])]
         hold_line(line, walked, tick, heard.get(tick.tick + 1), line["leg"])
     empty = [(line["tick"], line["leg"]) for line in lines if line["reward"] == ""]
-    assert ("4", "rear_left") in empty
-    assert ("4", "front_left") not in empty
+    assert ("8", "rear_right") in empty
+    assert not {("4", "rear_left"), ("8", "front_left")} & set(empty)
     assert [leg for tick, leg in empty if tick == "21"] == list(LEGS)
     assert [leg for tick, leg in empty if tick == "63"] == list(LEGS)  # a fall
 

@@ -33,6 +33,7 @@ from ember_ros.plan import Plan
 from ember_ros.report.recorder import BODY, Row
 from ember_ros.run import SUMMARY, TABLE
 from ember_ros.signals import LEGS
+from leg_node.reward import Rewarder
 from leg_node.table import empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
@@ -463,7 +464,7 @@ def test_csv_writes_two_files(run: Go, walked: Made) -> None:
     assert text == "In out/csv: cycles.csv, ticks.csv"
     with Path("out/csv/ticks.csv").open(newline="") as file:
         lines = list(csv.reader(file))
-    assert tuple(lines[0]) == look.TICK_COLUMNS
+    assert tuple(lines[0]) == (*look.TICK_COLUMNS, *(f"reward_{n}" for n in Rewarder.names))
     assert len(lines) == 1 + CYCLES * TICKS * 4
     with Path("out/csv/cycles.csv").open(newline="") as file:
         lines = list(csv.reader(file))

@@ -17,8 +17,9 @@ from ember_ros.params import Params, replace
 from ember_ros.params_file import load_params
 from ember_ros.plan import Plan, make_world
 from ember_ros.report.recorder import Recorder
-from ember_ros.signals import LEGS, TRAINER_LEG, BodyState, LegCommand, LegSense
+from ember_ros.signals import LEGS, TRAINER_LEG, BodyState, LegCommand, LegSense, Transition
 from leg_node.gait import LegGait
+from leg_node.module import LegModule
 from leg_node.reward import Rewarder
 from leg_node.state import Partition
 from leg_node.table import Table, empty_table
@@ -195,13 +196,56 @@ class Heard:
         self.senses: list[tuple[LegSense, ...]] = []
         self.commands: list[list[LegCommand]] = []
         self.bodies: list[BodyState] = []
+        self.transitions: list[list[Transition]] = []
 
-    def tick(self, phase: float, senses: Any, commands: Any, body: BodyState) -> None:
+    def tick(
+        self, phase: float, senses: Any, commands: Any, body: BodyState, transitions: Any
+    ) -> None:
         """Keep a tick."""
         self.phases.append(phase)
         self.senses.append(tuple(senses))
         self.commands.append(list(commands))
         self.bodies.append(body)
+        self.transitions.append(list(transitions))
+
+
+class PaidForSpeed:
+    """A reward of one's own: the knee's speed, and a fine in stance."""
+
+    names = ("speed", "fine")
+
+    def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
+        """Return both."""
+        return {"speed": abs(sense.knee_speed), **({"fine": -0.5} if stance else {})}
+
+
+def test_what_is_reported_is_what_was_paid() -> None:
+    """Legs of another reward are reported by it, term by term, not by the paper's."""
+    with looping("fake", 2, policy="random") as loop:
+        loop.legs = [
+            LegModule(PARAMS, leg, policy="random", rewarder=PaidForSpeed()) for leg in LEGS
+        ]
+        heard, recorder = Heard(), Recorder(PARAMS, LEGS)
+        for _ in range(2 * TICKS):
+            loop.tick(heard, recorder)
+        recorder.finish(loop.world.observe(), loop.world.body())
+        credited = 0
+        for place in range(4):
+            for senses, paid in zip(heard.senses, heard.transitions, strict=True):
+                did, sense = paid[place], senses[place]
+                assert did.credited is (sense.tick > 0 and not sense.restart)
+                if did.credited:
+                    terms = {"speed": abs(sense.knee_speed), "fine": -0.5 if did.stance else 0.0}
+                    assert dict(did.terms) == terms
+                    assert did.reward == terms["speed"] + terms["fine"]
+                    credited += 1
+        assert loop.finish().visits.sum() == credited
+    rows = recorder.body_rows()
+    first = recorder.summary()["first"]
+    assert first["reward_by_term"].keys() == {"speed", "fine"}
+    assert first["reward"] == pytest.approx(sum(row.reward for row in rows) / 2)
+    assert first["reward"] == pytest.approx(sum(first["reward_by_term"].values()))
+    assert first["reward_by_term"]["fine"] < 0.0 < first["reward_by_term"]["speed"]
 
 
 @two_worlds
@@ -253,6 +297,14 @@ def test_a_lone_leg_does_not_notice_sharing(sync_every: int) -> None:
     assert runs[0] == runs[1]
 
 
+def paid(rewarder: Rewarder, sense: LegSense, stance: bool) -> float:
+    """Return the reward: its terms added one after the other, as no ``sum`` of Python 3.12 does."""
+    total = 0.0
+    for value in rewarder.terms(sense, stance).values():
+        total += value
+    return total
+
+
 def literally(heard: Heard, params: Params) -> Table:
     """Return what four legs write into one table, tick by tick, leg by leg, from what was heard."""
     table, learning = empty_table(params), params.walk
@@ -269,7 +321,7 @@ def literally(heard: Heard, params: Params) -> Table:
             action = speeds.index(heard.commands[before][n].knee_speed)
             cell = partition.index(old, was) * len(speeds) + action
             best = max(table.row(partition.index(new, now)))
-            pairs.append((cell, rewarder(new, was) + learning.gamma * best))
+            pairs.append((cell, paid(rewarder, new, was) + learning.gamma * best))
         for cell, target in pairs:
             table.update(cell, target, learning.rate)
     return table

@@ -24,7 +24,7 @@ from ember_ros.loop import Loop
 from ember_ros.params import SPECS, Params, cells_sha256
 from ember_ros.plan import Plan
 from ember_ros.ros_params import OPTIONS
-from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Pair, Phase
+from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Pair, Phase, Transition
 from leg_node.module import LegModule
 from leg_node.node import LegNode
 from leg_node.shared import Push, SharedTable
@@ -114,7 +114,7 @@ def test_a_sim_node_has_what_its_docstring_lists(ros: Ros, world: str) -> None:
     assert len(published) == 4 + 2 * len(node.legs)
     assert agree(published, live(ros, "publisher", node))
     heard = documented(SimNode, "Subscribes", node.legs)
-    assert len(heard) == 2 + len(node.legs)
+    assert len(heard) == 2 + 2 * len(node.legs)
     assert agree(heard, live(ros, "subscriber", node))
     assert not live(ros, "client", node)
     assert not live(ros, "service", node)
@@ -130,7 +130,10 @@ def test_a_leg_has_its_own_topics_the_phase_and_the_table_alone(ros: Ros, leg: s
         f"{leg}/contact": joint_state,
         "cpg/phase": "std_msgs/Float64",
     }
-    assert live(ros, "publisher", node) == {f"{leg}/command": joint_state}
+    assert live(ros, "publisher", node) == {
+        f"{leg}/command": joint_state,
+        f"{leg}/transition": joint_state,
+    }
     assert live(ros, "client", node) == {
         "table/push": "rcl_interfaces/SetParametersAtomically",
         "table/pull": "rcl_interfaces/GetParameters",
@@ -397,6 +400,7 @@ class Tape:
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
+        transitions: Sequence[Transition | None],
     ) -> None:
         """Record a tick."""
         self.ticks.append((phase, tuple(senses)))

@@ -16,7 +16,7 @@ import pytest
 
 from ember_ros.params import Params
 from ember_ros.report.recorder import BODY, CYCLES, MEASURED, TRACES, Recorder, Row, load_record
-from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense
+from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Transition
 from leg_node.gait import LegGait
 from leg_node.module import LegModule
 from leg_node.reward import Rewarder
@@ -33,6 +33,7 @@ class Tick(NamedTuple):
     senses: tuple[LegSense, ...]
     commands: tuple[LegCommand | None, ...]
     body: BodyState
+    transitions: tuple[Transition | None, ...]
 
 
 def run(ticks: int, *, falls_at: Sequence[int] = (), legs: Sequence[str] = LEGS) -> list[Tick]:
@@ -54,7 +55,8 @@ def run(ticks: int, *, falls_at: Sequence[int] = (), legs: Sequence[str] = LEGS)
             pitch=-0.2 * wave,
             yaw=0.3,
         )
-        heard.append(Tick(phase, senses, commands, body))
+        paid = tuple(leg.transition for leg in modules)
+        heard.append(Tick(phase, senses, commands, body, paid))
         world.step(phase, commands)
     return heard
 
@@ -71,10 +73,14 @@ def record(
     return recorder
 
 
-def hashes(recorder: Recorder) -> tuple[str, str]:
-    """Return the hashes of senses and commands."""
+def hashes(recorder: Recorder) -> tuple[str, str, str]:
+    """Return the hashes of senses, commands and transitions."""
     summary = recorder.summary()
-    return summary["senses_sha256"], summary["commands_sha256"]
+    return (
+        summary["senses_sha256"],
+        summary["commands_sha256"],
+        summary["transitions_sha256"],
+    )
 
 
 # -- lines ---------------------------------------------------------------------------------------
@@ -104,6 +110,7 @@ def test_the_legs_lines() -> None:
     """Peak force, mean reward, contact share and slip of each leg, written here a second time."""
     heard = run(2 * TICKS, falls_at=[40])
     recorder, rewarder = record(heard), Rewarder(PARAMS)
+    assert sum(did is None or not did.credited for t in heard[1:] for did in t.transitions) == 4
     for place, leg in enumerate(LEGS):
         gait = LegGait(PARAMS.gait, leg)
         for cycle in range(2):
@@ -124,7 +131,12 @@ def test_the_legs_lines() -> None:
             (row,) = (r for r in recorder.rows if (r.cycle, r.module) == (cycle, leg))
             assert row.peak_force_n == max(sense.force_peak for *_, sense in felt)
             assert row.reward == pytest.approx(
-                sum(rewarder(sense, paid) for _, paid, sense in felt) / TICKS
+                sum(
+                    sum(rewarder.terms(sense, paid).values())
+                    for n, (_, paid, sense) in enumerate(felt)
+                    if (cycle, n) != (1, TICKS - 2)  # the run's last tick is paid for by nobody
+                )
+                / (TICKS - 2 * cycle)
             )
             assert row.contact_share == sum(s and x.force_mean > 0.0 for s, _, x in felt) / 24
             assert row.duty_factor == sum(x.force_mean > 0.0 for *_, x in felt) / TICKS
@@ -301,14 +313,16 @@ def test_hashes_are_the_same_on_every_machine() -> None:
     sense = LegSense(3, 0.5, 1.0, -1.0, 2.0, 24.5, 30.0, -0.5, 0.001, True, True, False)
     body = BodyState(0.0, 0.0, 0.45, 0.0, 0.0, 0.0, 0)
     recorder = Recorder(PARAMS, LEGS[:1])
-    recorder.tick(3 / 32, [sense], [LegCommand(3, -0.25, 8.0, 12.0, 16.0)], body)
-    recorder.tick(4 / 32, [sense._replace(tick=4)], [None], body)
+    paid = Transition(3, True, 70, 8, (("height", 0.5), ("slip", -0.25)))
+    recorder.tick(3 / 32, [sense], [LegCommand(3, -0.25, 8.0, 12.0, 16.0)], body, [paid])
+    recorder.tick(4 / 32, [sense._replace(tick=4)], [None], body, [None])
     recorder.finish([sense._replace(tick=5)], body)
     numbers = struct.pack("<8d", 0.5, 1.0, -1.0, 2.0, 24.5, 30.0, -0.5, 0.001)
     senses = b"".join(struct.pack("<q", n) + numbers + b"\x01\x01\x00" for n in (3, 4))
     commands = struct.pack("<q4d", 3, -0.25, 8.0, 12.0, 16.0) + b"\x00"
+    transitions = struct.pack("<q?2q2d", 3, True, 70, 8, 0.5, -0.25) + b"\x00"
     assert hashes(recorder) == tuple(
-        hashlib.sha256(each).hexdigest() for each in (senses, commands)
+        hashlib.sha256(each).hexdigest() for each in (senses, commands, transitions)
     )
 
 

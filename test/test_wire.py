@@ -23,7 +23,7 @@ from std_msgs.msg import Float64
 from ember_ros import calls, wire
 from ember_ros.errors import PushError, SignalError
 from ember_ros.params import Params, cells_sha256
-from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense, Pair
+from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense, Pair, Transition
 from leg_node.shared import Changes, Push, SharedTable
 from leg_node.table import Table, empty_table
 
@@ -40,6 +40,14 @@ not_finite = st.sampled_from([math.nan, math.inf, -math.inf])
 bits = st.booleans()
 senses = st.builds(LegSense, ticks, *[numbers] * 8, bits, bits, bits)
 commands = st.builds(LegCommand, ticks, numbers, numbers, torques, torques)
+terms = st.dictionaries(
+    st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=20),
+    numbers,
+    max_size=8,
+).map(lambda found: tuple(found.items()))
+transitions = st.builds(
+    Transition, ticks, bits, st.integers(-1, 2**53), st.integers(-1, 2**53), terms
+)
 int64 = st.integers(-(2**63), 2**63 - 1)
 pushes = st.builds(
     Push,
@@ -115,6 +123,23 @@ def test_a_command_survives_bit_for_bit(leg: str, command: LegCommand) -> None:
     assert message.name == ["hip", "knee"]
     assert exactly((*message.velocity, *message.effort)) == exactly(command[1:])
     assert not message.position
+
+
+@given(legs, st.lists(transitions, min_size=1, max_size=3))
+def test_a_transition_survives_bit_for_bit(leg: str, said: list[Transition]) -> None:
+    """What a leg was paid comes out of its message with every bit, whatever its terms are called.
+
+    The reader is told no names: it finds them in what it hears, also when they change.
+    """
+    writer, reader = wire.TransitionWire(leg, TICK_NS), wire.TransitionWire(leg, TICK_NS)
+    for did in said:
+        data = writer.pack(did)
+        assert exactly(tuple(reader.read(data))) == exactly(tuple(did))
+        message = deserialize_message(data, JointState)
+        assert message.name == ["stance", "state", "action", *(name for name, _ in did.terms)]
+        assert exactly(tuple(message.position[3:])) == exactly(tuple(v for _, v in did.terms))
+        assert not message.velocity
+        assert not message.effort
 
 
 @given(legs, senses, commands, st.text(max_size=30), st.booleans())
@@ -274,6 +299,32 @@ def test_malformed_commands_are_refused(change: Change, names: str) -> None:
     wired = wire.CommandWire("rear_left", TICK_NS)
     with pytest.raises(SignalError, match=f"^rear_left/command: .*{names}"):
         wired.read(changed(wired.pack(LegCommand(3, 1.0, 2.0, 3.0, 4.0)), change))
+
+
+PAID = Transition(3, True, 70, 8, (("height", 0.5), ("slip", -0.25)))
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        (setting("name", ["state", "stance", "action", "a", "b"]), "names"),
+        (setting("name", ["stance", "state"]), "names"),
+        (setting("position", [0.0]), "1 numbers in position"),
+        (putting("position", 0, 2.0), "stance 2"),
+        (putting("position", 1, 0.5), "state 0.5"),
+        (putting("position", 3, math.nan), "position"),
+    ],
+)
+def test_malformed_transitions_are_refused(change: Change, names: str) -> None:
+    """The error of a bad ``transition`` names the topic and what is wrong; a good one reads."""
+    wired = wire.TransitionWire("rear_left", TICK_NS)
+    good = wired.pack(PAID)
+    with pytest.raises(SignalError, match=f"^rear_left/transition: .*{names}"):
+        wired.read(changed(good, change))
+    for cut in (0, 3, 12, 40, len(good) - 1):
+        with pytest.raises(SignalError, match=r"^rear_left/transition: "):
+            wired.read(good[:cut])
+    assert wired.read(good) == PAID
 
 
 def with_one(signal: Any, name: str, value: Any) -> Any:

@@ -15,8 +15,6 @@ from ember_ros.params import params_sha256
 from ember_ros.report.recorder import Recorder, Row
 from ember_ros.signals import BodyState, LegCommand, LegSense
 from leg_node.gait import LegGait
-from leg_node.reward import Rewarder
-from leg_node.state import Partition
 
 CYCLES_CSV, TICKS_CSV = "cycles.csv", "ticks.csv"
 MOST_GAPS = 20
@@ -53,12 +51,13 @@ class Seen:
         senses = [sense for sense in tick.senses if sense is not None]
         if len(senses) < len(self._legs):
             return
-        whole = self._whole
+        whole, transitions = self._whole, tick.transitions
         if whole is None or whole.tick + 1 != tick.tick:  # nothing to be credited
             if whole is not None and whole.tick // self._ticks != tick.tick // self._ticks:
                 self._end()
             senses = [sense._replace(restart=True) for sense in senses]
-        self._recorder.tick(tick.phase, senses, tick.commands, tick.body)
+            transitions = (None,) * len(self._legs)
+        self._recorder.tick(tick.phase, senses, tick.commands, tick.body, transitions)
         self._whole = tick
 
     def rows(self) -> list[Row]:
@@ -95,7 +94,7 @@ def info(bag: Bag) -> tuple[dict[str, Any], list[Row]]:
         "cycles": seen.ticks / bag.params.gait.ticks,
         "falls": seen.falls,
         "distance_m": sum(row.distance_m or 0.0 for row in body),
-        "reward": sum(row.reward for row in body) / len(body) if body else None,
+        "reward": sum(r.reward for r in body) / len(body) if body and bag.reward_terms else None,
         "lost_ticks": sum(last - first + 1 for first, last in seen.gaps),
         "gaps": seen.gaps[:MOST_GAPS],
         "ticks_without_senses": {leg: n for leg, n in seen.no_senses.items() if n},
@@ -134,7 +133,8 @@ TICK_COLUMNS = (
     *(f"body_{name}" for name in BodyState._fields),
 )
 """Of ``ticks.csv``. Senses, state and body are at the start of the tick, command and action hold
-during it, the reward is of it, and is empty where its end was not sensed."""
+during it. State, action and reward are what the leg said of it one tick later, as are the terms of
+the reward, which follow in columns ``reward_<term>``; they are empty where it did not say."""
 
 
 def write_csv(bag: Bag, folder: Path) -> list[Path]:
@@ -161,7 +161,7 @@ def write_csv(bag: Bag, folder: Path) -> list[Path]:
             cycles, ticks = outs
             seen = Seen(bag)
             lines = csv.writer(ticks)
-            lines.writerow(TICK_COLUMNS)
+            lines.writerow([*TICK_COLUMNS, *(f"reward_{term}" for term in bag.reward_terms)])
             lines.writerows(_lines(bag, seen))
             lines = csv.writer(cycles)
             lines.writerow(Row._fields)
@@ -181,16 +181,16 @@ def _lines(bag: Bag, seen: Seen) -> Iterator[list[Any]]:
     """Yield a line a tick and leg; a tick's reward is known one tick later."""
     before: Tick | None = None
     gaits = [LegGait(bag.params.gait, leg) for leg in bag.legs]
-    partition, rewarder = Partition(bag.params), Rewarder(bag.params)
-    speeds = {speed: n for n, speed in enumerate(bag.params.leg.knee_speeds)}
-    lead = bag.params.reward.lead
+    names = bag.reward_terms
 
     def of(tick: Tick, after: Tick | None) -> Iterator[list[Any]]:
         follows = after is not None and after.tick == tick.tick + 1
         for n, leg in enumerate(bag.legs):
             sense, command, stance = tick.senses[n], tick.commands[n], gaits[n].stance(tick.phase)
-            then = after.senses[n] if after is not None and follows else None
-            credited = then is not None and not then.restart
+            did = after.transitions[n] if after is not None and follows else None
+            if did is not None and not did.credited:
+                did = None
+            terms = dict(did.terms) if did is not None else {}
             yield [
                 tick.tick,
                 tick.tick * bag.params.gait.tick_s,
@@ -198,13 +198,12 @@ def _lines(bag: Bag, seen: Seen) -> Iterator[list[Any]]:
                 leg,
                 int(stance),
                 *(map(_plain, sense[1:]) if sense else [""] * (len(LegSense._fields) - 1)),
-                partition.index(sense, stance) if sense else "",
-                speeds.get(command.knee_speed, "") if command else "",
+                did.state if did is not None else "",
+                did.action if did is not None else "",
                 *(command[1:] if command else [""] * (len(LegCommand._fields) - 1)),
-                rewarder(then, gaits[n].rewarded_as_stance(tick.phase, lead))
-                if credited and then is not None
-                else "",
+                did.reward if did is not None else "",
                 *tick.body,
+                *(terms.get(name, "") for name in names),
             ]
 
     for tick in bag.ticks():

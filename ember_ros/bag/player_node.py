@@ -45,8 +45,8 @@ class PlayerNode(Node):  # type: ignore[misc]
             rate: times the recorded speed.
             start_s: simulated seconds to leave out at the beginning.
             paused: whether to begin paused.
-            live: legs whose commands are left out, since live nodes say them; it begins when
-                these are there.
+            live: legs whose commands and transitions are left out, since live nodes say them; it
+                begins when these are there.
             **kwargs: go to rclpy's ``Node``.
 
         Raises:
@@ -72,7 +72,8 @@ class PlayerNode(Node):  # type: ignore[misc]
             for each in bag.robots()
             if each != bag.namespace and absolute(each, "").startswith(prefix)
         )
-        left_out = {absolute(bag.namespace, topics.command(leg).name) for leg in live}
+        said = (topics.command, topics.transition)
+        left_out = {absolute(bag.namespace, make(leg).name) for leg in live for make in said}
         self._sayers: dict[str, Any] = {}
         for topic, connection in bag.connections.items():
             if topic in left_out or not topic.startswith(prefix) or topic.startswith(others):

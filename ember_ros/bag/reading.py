@@ -22,7 +22,7 @@ from ember_ros.bag.window import LATE, Window
 from ember_ros.errors import BagError, EmberError, SignalError
 from ember_ros.params import Params
 from ember_ros.plan import WORLDS, legs_of, stage_of
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
 from leg_node.table import Table, empty_table
 
 
@@ -36,6 +36,8 @@ class Tick(NamedTuple):
     commands: tuple[LegCommand | None, ...]
     body: BodyState
     """Where the body was, or was seen last; falls count from the bag's start."""
+    transitions: tuple[Transition | None, ...]
+    """What each leg was paid for the tick before, and for what; None of a leg that does not say."""
 
 
 class Damage(NamedTuple):
@@ -170,7 +172,8 @@ class Bag:
 
     def _check_topics(self) -> None:
         of_run = (topics.CRC, topics.CARD, topics.VALUES, topics.VISITS)
-        optional = (topics.CLOCK, topics.ODOMETRY, topics.FALLS, *of_run)
+        told = map(topics.transition, self.legs)
+        optional = (topics.CLOCK, topics.ODOMETRY, topics.FALLS, *of_run, *told)
         for topic in (*self._needed(), *optional):
             name = self._name(topic)
             connection = self.connections.get(name)
@@ -237,6 +240,17 @@ class Bag:
             return told.stage
         return stage_of(self.world)
 
+    @property
+    def reward_terms(self) -> tuple[str, ...]:
+        """Return the names of the terms of the legs' reward; none where no leg says them."""
+        for leg in self.legs:
+            topic = topics.transition(leg)
+            data = self._one(topic)
+            if data is not None:
+                did = wire.TransitionWire(leg, self.params.gait.tick_ns).read(data)
+                return tuple(name for name, _ in did.terms)
+        return ()
+
     def messages(self, topic: topics.Topic) -> int:
         """Return how many messages of one of the robot's topics are in the bag."""
         connection = self.connections.get(self._name(topic))
@@ -275,8 +289,8 @@ class Bag:
         clocked = self._name(topics.CLOCK) in self.connections
         beat = self._name(topics.CLOCK if clocked else topics.PHASE)
         parts = [self._name(topic) for topic in self._needed()]
-        if self._name(topics.ODOMETRY) in self.connections:
-            parts.append(self._name(topics.ODOMETRY))
+        also = [self._name(t) for t in (topics.ODOMETRY, *map(topics.transition, self.legs))]
+        parts += [name for name in also if name in self.connections]
         window, falls, newest = Window(parts), 0, -1
         phase = self._name(topics.PHASE)
         for topic, _, data in self._messages([*readers, beat]):
@@ -354,7 +368,16 @@ class Bag:
 
             readers[self._name(topics.joint_states(leg))] = senses.read_joints
             readers[self._name(topics.contact(leg))] = senses.read_contact
+            transitions = wire.TransitionWire(leg, tick_ns)
+
+            def read_transition(
+                data: bytes, transitions: wire.TransitionWire = transitions
+            ) -> tuple[int, Transition]:
+                did = transitions.read(data)
+                return did.tick, did
+
             readers[self._name(topics.command(leg))] = read_command
+            readers[self._name(topics.transition(leg))] = read_transition
         return readers
 
     def _fell(self, found: dict[str, Any]) -> bool:
@@ -369,6 +392,7 @@ class Bag:
         """Yield the tick that the parts make up, if its phase is there."""
         senses: list[LegSense | None] = []
         commands: list[LegCommand | None] = []
+        transitions: list[Transition | None] = []
         crcs = []
         for leg in self.legs:
             joints = found.get(self._name(topics.joint_states(leg)), (None, None))
@@ -377,6 +401,8 @@ class Bag:
             both = joints[1] is not None and contact[1] is not None
             senses.append(wire.SenseWire.sense(tick, joints[1], contact[1]) if both else None)
             commands.append(command[1])
+            did = found.get(self._name(topics.transition(leg)), (None, None))
+            transitions.append(did[1])
             crcs.append(crc_of(joints[0], contact[0]))
         seen.found[tick] = tuple(crcs)
         self._check(tick, seen)
@@ -386,7 +412,7 @@ class Bag:
         if phase is not None:
             seen.pose = found.get(self._name(topics.ODOMETRY), (None, seen.pose))[1]
             body = BodyState._make((*seen.pose, falls))
-            yield Tick(tick, phase[1], tuple(senses), tuple(commands), body)
+            yield Tick(tick, phase[1], tuple(senses), tuple(commands), body, tuple(transitions))
 
     def _check(self, tick: int, seen: _Reading) -> None:
         """Hold a tick's senses against their recorded CRCs once both are there."""

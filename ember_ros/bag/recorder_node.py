@@ -72,7 +72,7 @@ class _Ear:
 
     @staticmethod
     def _topics(legs: list[str]) -> list[topics.Topic]:
-        makers = (topics.joint_states, topics.contact, topics.command)
+        makers = (topics.joint_states, topics.contact, topics.transition, topics.command)
         common = [topics.FALLS, topics.ODOMETRY, topics.PHASE, topics.CLOCK]
         return [*(make(leg) for leg in legs for make in makers), *common]
 
@@ -246,6 +246,7 @@ class _Ear:
                 [found.get(topics.contact(leg).name) for leg in self._legs],
                 found.get(topics.PHASE.name),
                 [found.get(topics.command(leg).name) for leg in self._legs],
+                [found.get(topics.transition(leg).name) for leg in self._legs],
             ),
         )
 

@@ -2,8 +2,9 @@
 
 The loop and the sim node give it what they give every observer; the recorder node gives it the
 bytes that it heard. A tick is its clock, the falls if there are more, the body's pose, each leg's
-senses, the phase, and each leg's command. Every quarter of a second of simulated time it is brought
-to the disk, with a CRC-32 of each leg's senses: whatever chunk survives can be checked by itself.
+senses, the phase, each leg's command, and what each leg was paid for the tick before. Every quarter
+of a second of simulated time it is brought to the disk, with a CRC-32 of each leg's senses:
+whatever chunk survives can be checked by itself.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from ember_ros import topics, wire
 from ember_ros.bag.card import Card
 from ember_ros.bag.scribe import Sink
 from ember_ros.plan import legs_of
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
 from leg_node.table import Table
 
 FLUSH_TICKS = 16
@@ -36,6 +37,7 @@ class Told(NamedTuple):
     contacts: Sequence[bytes | None]
     phase: bytes | None
     commands: Sequence[bytes | None]
+    transitions: Sequence[bytes | None]
 
 
 def absolute(namespace: str, name: str) -> str:
@@ -73,6 +75,7 @@ class Recording:
         self._legs = len(legs)
         self._senses = [wire.SenseWire(leg, self._tick_ns) for leg in legs]
         self._commands = [wire.CommandWire(leg, self._tick_ns) for leg in legs]
+        self._transitions = [wire.TransitionWire(leg, self._tick_ns) for leg in legs]
         self._falls = -1
         self._crcs = array("I")
         self._next = card.first_tick
@@ -85,7 +88,8 @@ class Recording:
         self._of_legs = [
             (channel(topics.joint_states(leg)), channel(topics.contact(leg))) for leg in legs
         ]
-        self._after = [channel(t) for t in (topics.PHASE, *map(topics.command, legs))]
+        said = (*map(topics.command, legs), *map(topics.transition, legs))
+        self._after = [channel(t) for t in (topics.PHASE, *said)]
         self._crc = channel(topics.CRC)
 
         ns = card.first_tick * self._tick_ns
@@ -106,6 +110,7 @@ class Recording:
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
+        transitions: Sequence[Transition | None],
     ) -> None:
         """Write one complete tick.
 
@@ -127,6 +132,7 @@ class Recording:
             [contact for _, contact in felt],
             wire.pack_phase(phase),
             [w.pack(c) if c else None for w, c in zip(self._commands, commands, strict=True)],
+            [w.pack(t) if t else None for w, t in zip(self._transitions, transitions, strict=True)],
         )
         self.put(tick, told)
 
@@ -150,7 +156,9 @@ class Recording:
             if contact is not None:
                 write(channels[1], ns, contact)
             self._crcs.append(crc_of(joints, contact))
-        for channel, data in zip(self._after, (told.phase, *told.commands), strict=True):
+        for channel, data in zip(
+            self._after, (told.phase, *told.commands, *told.transitions), strict=True
+        ):
             if data is not None:
                 write(channel, ns, data)
         self.ticks += 1

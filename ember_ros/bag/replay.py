@@ -15,7 +15,7 @@ from ember_ros import topics
 from ember_ros.bag.reading import Bag, Tick
 from ember_ros.errors import BagError
 from ember_ros.plan import Plan
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
 from leg_node.table import Table
 from leg_node.table_file import load_table, save_table
 
@@ -63,6 +63,8 @@ class RecordedWorld:
         self.unanswered = dict.fromkeys(self.legs, 0)
         """Ticks without a recorded command, by leg."""
         self.difference: Difference | None = None
+        self.paid_otherwise: Difference | None = None
+        """The first thing that a leg was paid otherwise than it was recorded, or for another."""
         self.missing: str | None = None
         """Why the record ends before the bag does, if it does."""
         self._ticks = ticks
@@ -121,6 +123,23 @@ class RecordedWorld:
             time.sleep(max(0.0, self._due - time.monotonic()))
         self._advance()
 
+    def tick(
+        self,
+        phase: Phase,
+        senses: Sequence[LegSense],
+        commands: Sequence[LegCommand | None],
+        body: BodyState,
+        transitions: Sequence[Transition | None],
+    ) -> None:
+        """Hold what the legs were paid against what was recorded, as an observer of the run."""
+        assert self._next is not None
+        if self.paid_otherwise is not None:
+            return
+        for leg, did, recorded in zip(self.legs, transitions, self._next.transitions, strict=True):
+            if recorded is not None and did != recorded:
+                self.paid_otherwise = _paid_otherwise(leg, recorded, did)
+                return
+
     def body(self) -> BodyState:
         """Return where the body was."""
         tick = self._next or self._last
@@ -144,6 +163,21 @@ def _difference(leg: str, recorded: LegCommand, command: LegCommand | None) -> D
     raise AssertionError(recorded)
 
 
+def _paid_otherwise(leg: str, recorded: Transition, did: Transition | None) -> Difference:
+    if did is None:
+        return Difference(recorded.tick, leg, "transition", recorded, None)
+    was, now = _flat(recorded), _flat(did)
+    for name in dict.fromkeys([*was, *now]):
+        if was.get(name) != now.get(name):
+            return Difference(recorded.tick, leg, name, was.get(name), now.get(name))
+    raise AssertionError(recorded)
+
+
+def _flat(did: Transition) -> dict[str, object]:
+    """Return all of a transition by name."""
+    return {**did._asdict(), "terms": None, **{f"reward of {n}": v for n, v in did.terms}}
+
+
 class Replayed(NamedTuple):
     """What a replay came to."""
 
@@ -154,7 +188,9 @@ class Replayed(NamedTuple):
     unanswered: dict[str, int]
     """Ticks in which a leg's command was not recorded, by leg, where there are any."""
     difference: Difference | None
-    """The first, or None."""
+    """The first in what was sensed or commanded, or None."""
+    paid_otherwise: Difference | None
+    """The first in what a leg was paid, or None."""
     missing: str | None
     """Why the replay ended before the bag, or None."""
     table: Table
@@ -171,6 +207,7 @@ class Replayed(NamedTuple):
         """Return whether everything that was recorded came out again."""
         return (
             self.difference is None
+            and self.paid_otherwise is None
             and self.missing is None
             and self.recorded_sha256 in (None, self.table.sha256())
         )
@@ -235,6 +272,7 @@ def replay(
         compared=world.compared,
         unanswered={leg: n for leg, n in world.unanswered.items() if n},
         difference=difference,
+        paid_otherwise=world.paid_otherwise,
         missing=world.missing,
         table=table,
         recorded_sha256=bag.table_sha256 if world.over and not world.missing else None,
@@ -250,7 +288,7 @@ def _by_loop(
 
     loop = Loop(plan, world)
     while not world.over and go_on(loop.now):
-        loop.tick()
+        loop.tick(world)
     return loop.now, loop.finish()
 
 
@@ -260,6 +298,7 @@ def _by_graph(
     from ember_ros.graph import Graph
 
     graph = Graph(plan, folder, world=world)
+    graph.sim.observers.append(world)
     try:
         graph.run(lambda: go_on(graph.sim.tick))
         done = graph.sim.tick

@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ember_ros.loop import Loop, Observer
+from ember_ros.loop import Loop
+from ember_ros.observer import Observer
 from ember_ros.params import Params
 from ember_ros.plan import Plan
 from ember_ros.randomness import WORLD, generator
 from ember_ros.signals import LegSense, Phase
-from leg_node.gait import LegGait
 from leg_node.module import LegModule
 from leg_node.policy import epsilon_at
-from leg_node.reward import Rewarder
 from leg_node.table import Table
 
 DRAWER = WORLD + 1
@@ -44,9 +43,7 @@ class CentralLoop(Loop):
         params: Params = plan.params
         numbers = params.walk if plan.stage == "walk" else params.train
         self._numbers, self._ticks = numbers, params.gait.ticks
-        self._speeds, self._lead = len(params.leg.knee_speeds), params.reward.lead
-        self._gaits = [LegGait(params.gait, leg) for leg in plan.legs]
-        self._rewarder = Rewarder(params)
+        self._speeds = len(params.leg.knee_speeds)
         self._rng = generator(plan.seed, DRAWER)
         count = len(plan.legs)
         self.joint = Table(self._ticks * 2**count, self._speeds**count)
@@ -55,20 +52,24 @@ class CentralLoop(Loop):
             LegModule(params, leg, stage=plan.stage, policy=told, learning=False)
             for leg, told in zip(plan.legs, self._told, strict=True)
         ]
-        self._before: tuple[int, int, Phase] | None = None
+        self._before: tuple[int, int] | None = None
 
     def _state(self, senses: tuple[LegSense, ...]) -> int:
         bits = sum(sense.contact << n for n, sense in enumerate(senses))
         return (self.now % self._ticks << len(senses)) + bits
 
     def _learn(self, senses: tuple[LegSense, ...], state: int) -> None:
-        if self._before is None or senses[0].restart:
+        """Learn from what the legs were paid for the tick that just ended, all alike."""
+        if self._before is None:
             return
-        was, did, phase = self._before
-        reward = sum(
-            self._rewarder(sense, gait.rewarded_as_stance(phase, self._lead))
-            for sense, gait in zip(senses, self._gaits, strict=True)
-        ) / len(senses)
+        paid = [leg.credit(sense) for leg, sense in zip(self.legs, senses, strict=True)]
+        if not all(each.credited for each in paid):
+            return
+        was, did = self._before
+        reward = 0.0
+        for each in paid:
+            reward += each.reward
+        reward /= len(paid)
         actions = self.joint.actions
         best = float(self.joint.values[state * actions : (state + 1) * actions].max())
         target = reward + self._numbers.gamma * best
@@ -88,7 +89,7 @@ class CentralLoop(Loop):
         state = self._state(senses)
         self._learn(senses, state)
         joint = self._choose(state)
-        self._before = (state, joint, self.cpg.phase(self.now * self._tick_ns))
+        self._before = state, joint
         for told in self._told:
             joint, told.action = divmod(joint, self._speeds)
         super().tick(*observers)

@@ -29,7 +29,7 @@ from ember_ros.loop import Loop
 from ember_ros.params import Params, params_sha256
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import Recorder, Row
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
 from ember_ros.versions import versions
 from leg_node.gait import LegGait
 from leg_node.state import Partition
@@ -167,6 +167,7 @@ class _Watch:
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
+        transitions: Sequence[Transition | None],
     ) -> None:
         index, visits, down = self._partition.index, self.visits, self._down
         for sense, gait in zip(senses, self._gaits, strict=True):

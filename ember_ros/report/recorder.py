@@ -1,7 +1,7 @@
 """The record of a run, made tick by tick beside it: a line a cycle, and hashes of every signal.
 
 The direct loop and the sim node feed it the same values in the same order, so that two ways of
-running the same thing can be compared by three hashes. It hears everything and is heard by no one.
+running the same thing can be compared by their hashes. It hears everything and is heard by no one.
 """
 
 from __future__ import annotations
@@ -22,9 +22,8 @@ import numpy as np
 
 from ember_ros.errors import ParameterError
 from ember_ros.params import Params
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
 from leg_node.gait import LegGait
-from leg_node.reward import Rewarder
 
 CYCLES, MEASURED, TRACES = "cycles.csv", "measured.json", "traces.npy"
 """The files of a record: lines a cycle, the summary, and the body's pose at every tick."""
@@ -35,6 +34,7 @@ WINDOW = 200
 _SENSE = struct.Struct("<q8d3?")
 _COMMAND = struct.Struct("<q4d")
 _NO_COMMAND = b"\0"
+_TRANSITION = struct.Struct("<q?2q")
 
 
 class Row(NamedTuple):
@@ -46,7 +46,8 @@ class Row(NamedTuple):
     peak_force_n: float
     """Largest vertical force on a foot."""
     reward: float
-    """Mean reward a tick."""
+    """Mean over the cycle's ticks for which the leg said what it was paid, 0 where there is none; a
+    run's last tick is paid for by nobody."""
     contact_share: float
     """Share of stance ticks with the foot on the ground."""
     duty_factor: float
@@ -70,11 +71,19 @@ class Row(NamedTuple):
 class _Sums:
     """One leg's sums over a cycle."""
 
-    __slots__ = ("contact", "down", "peak", "reward", "slip", "stance")
+    __slots__ = ("contact", "down", "paid", "peak", "slip", "stance", "terms")
 
     def __init__(self) -> None:
-        self.peak = self.reward = self.slip = 0.0
+        self.peak = self.slip = 0.0
         self.contact = self.down = self.stance = 0
+        self.paid = 0
+        """Ticks for which a reward was said."""
+        self.terms: dict[str, float] = {}
+        """The reward by term, added up over them."""
+
+    def reward(self) -> dict[str, float]:
+        """Return the mean reward a tick, by term."""
+        return {name: total / self.paid for name, total in self.terms.items()}
 
 
 class Recorder:
@@ -84,7 +93,7 @@ class Recorder:
         """Begin a record.
 
         Args:
-            params: for the reward and for the gait.
+            params: for the gait.
             legs: their names, in order.
             folder: where ``cycles.csv`` grows line by line, and where ``finish`` writes
                 ``measured.json`` and ``traces.npy``; nowhere for None.
@@ -98,15 +107,17 @@ class Recorder:
         self._legs = tuple(legs)
         self._ticks = params.gait.ticks
         self._gaits = [LegGait(params.gait, leg) for leg in legs]
-        self._lead = params.reward.lead
-        self._rewarder = Rewarder(params)
+        self.terms: list[dict[str, float]] = []
+        """Mean reward a tick by term and over legs, of each cycle."""
         self._senses_hash, self._commands_hash = hashlib.sha256(), hashlib.sha256()
+        self._transitions_hash = hashlib.sha256()
         self._senses, self._commands = bytearray(), bytearray()  # of this cycle, to be hashed
+        self._transitions = bytearray()
         self._sums = [_Sums() for _ in legs]
         self._phase: Phase | None = None
         self._poses: list[BodyState] = []  # at the start of each tick of this cycle
         self._body = BodyState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
-        self._stances: list[tuple[bool, bool]] = []  # of each leg: stance, and rewarded as stance
+        self._stances: list[bool] = []
         self._first_fall: int | None = None
         self._absences = dict.fromkeys(legs, 0)
         self._folder = folder
@@ -130,30 +141,30 @@ class Recorder:
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
+        transitions: Sequence[Transition | None],
     ) -> None:
-        """Take one complete tick: what was sensed at it, and what was commanded for it."""
+        """Take one complete tick: what was sensed and paid at it, and what was commanded for it."""
         if self._began is None:
             self._began = time.perf_counter()
-        self._end_tick(senses, body)
+        self._end_tick(senses, body, transitions)
         for sense, command in zip(senses, commands, strict=True):
             self._senses += _SENSE.pack(*sense)
             self._commands += _COMMAND.pack(*command) if command else _NO_COMMAND
+        for did in transitions:
+            self._transitions += _packed(did)
         if None in commands:
             for leg, command in zip(self._legs, commands, strict=True):
                 self._absences[leg] += command is None
         self._poses.append(body)
         self.traces.extend((body.x, body.y, body.roll, body.pitch))
         self._phase = phase
-        lead = self._lead
-        self._stances = [
-            (gait.stance(phase), gait.rewarded_as_stance(phase, lead)) for gait in self._gaits
-        ]
+        self._stances = [gait.stance(phase) for gait in self._gaits]
 
     def finish(self, senses: Sequence[LegSense], body: BodyState) -> None:
         """Take the senses after the last tick, end the last cycle, and close the file."""
         if self._phase is not None:
             self._wall = time.perf_counter() - (self._began or 0.0)
-            self._end_tick(senses, body)
+            self._end_tick(senses, body, [None] * len(self._legs))
             if self._poses:
                 self._end_cycle()
             self._phase = None
@@ -164,16 +175,25 @@ class Recorder:
             (self._folder / MEASURED).write_text(text, encoding="utf-8")
             np.save(self._folder / TRACES, np.frombuffer(self.traces).reshape(-1, 4))
 
-    def _end_tick(self, senses: Sequence[LegSense], body: BodyState) -> None:
-        """Credit what the senses say of the tick that just ended; end its cycle if it was last."""
+    def _end_tick(
+        self,
+        senses: Sequence[LegSense],
+        body: BodyState,
+        transitions: Sequence[Transition | None],
+    ) -> None:
+        """Take what the senses say of the tick that just ended; end its cycle if it was last."""
         before, self._body = self._body, body
         if self._phase is None:
             return
-        for sense, sums, (stance, paid) in zip(senses, self._sums, self._stances, strict=True):
+        for sums, did in zip(self._sums, transitions, strict=True):
+            if did is not None and did.credited:
+                sums.paid += 1
+                for name, value in did.terms:
+                    sums.terms[name] = sums.terms.get(name, 0.0) + value
+        for sense, sums, stance in zip(senses, self._sums, self._stances, strict=True):
             sums.stance += stance
             if sense.restart:
                 continue
-            sums.reward += self._rewarder(sense, paid)
             sums.slip += sense.slip
             if sense.force_peak > sums.peak:
                 sums.peak = sense.force_peak
@@ -188,11 +208,14 @@ class Recorder:
     def _end_cycle(self) -> None:
         assert self._phase is not None
         cycle, poses = int(self._phase), self._poses
-        start, end, ticks, n = poses[0], self._body, len(poses), len(self._legs)
+        start, end, ticks, n_legs = poses[0], self._body, len(poses), len(self._legs)
         rows = []
-        for leg, sums in zip(self._legs, self._sums, strict=True):
+        rewards = [sums.reward() for sums in self._sums]
+        names = dict.fromkeys(name for each in rewards for name in each)
+        self.terms.append({n: sum(each.get(n, 0.0) for each in rewards) / n_legs for n in names})
+        for leg, sums, terms in zip(self._legs, self._sums, rewards, strict=True):
             share = sums.contact / sums.stance if sums.stance else 0.0
-            reward = sums.reward / ticks
+            reward = sum(terms.values())
             duty = sums.down / ticks
             rows.append(Row(cycle, leg, sums.peak, reward, share, duty, sums.slip, *[None] * 7))
         rolls, pitches = [p.roll for p in poses], [p.pitch for p in poses]
@@ -201,10 +224,10 @@ class Recorder:
                 cycle,
                 BODY,
                 max(row.peak_force_n for row in rows),
-                sum(row.reward for row in rows) / n,
-                sum(row.contact_share for row in rows) / n,
-                sum(row.duty_factor for row in rows) / n,
-                sum(row.slip_m for row in rows) / n,
+                sum(row.reward for row in rows) / n_legs,
+                sum(row.contact_share for row in rows) / n_legs,
+                sum(row.duty_factor for row in rows) / n_legs,
+                sum(row.slip_m for row in rows) / n_legs,
                 (end.x - start.x) * math.cos(start.yaw) + (end.y - start.y) * math.sin(start.yaw),
                 math.remainder(end.yaw - start.yaw, math.tau),
                 statistics.pstdev(rolls),
@@ -220,8 +243,10 @@ class Recorder:
             self._file.flush()
         self._senses_hash.update(self._senses)
         self._commands_hash.update(self._commands)
+        self._transitions_hash.update(self._transitions)
         self._senses.clear()
         self._commands.clear()
+        self._transitions.clear()
         self._poses = []
         self._sums = [_Sums() for _ in self._legs]
 
@@ -240,11 +265,12 @@ class Recorder:
             "distance_per_cycle_m": _mean(row.distance_m for row in rows),
             "roll_sd_rad": float(traces[:, 2].std()) if len(traces) else None,
             "pitch_sd_rad": float(traces[:, 3].std()) if len(traces) else None,
-            "first": _window(rows[:WINDOW]),
-            "last": _window(rows[-WINDOW:]),
+            "first": _window(rows[:WINDOW], self.terms[:WINDOW]),
+            "last": _window(rows[-WINDOW:], self.terms[-WINDOW:]),
             "absent_ticks": dict(self._absences),
             "commands_sha256": self._commands_hash.hexdigest(),
             "senses_sha256": self._senses_hash.hexdigest(),
+            "transitions_sha256": self._transitions_hash.hexdigest(),
             "wall_s": round(self._wall, 3),
             "ticks_per_s": round(len(traces) / self._wall, 1) if self._wall else None,
         }
@@ -274,18 +300,28 @@ def load_record(folder: Path) -> Record:
     return Record(rows, np.load(folder / TRACES, allow_pickle=False), measured)
 
 
+def _packed(did: Transition | None) -> bytes:
+    """Return the bytes of a transition that are hashed."""
+    if did is None:
+        return b"\0"
+    values = [value for _, value in did.terms]
+    return _TRANSITION.pack(*did[:4]) + struct.pack(f"<{len(values)}d", *values)
+
+
 def _mean(values: Iterable[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if known else None
 
 
-def _window(rows: Sequence[Row]) -> dict[str, float | int | None]:
-    """Return means over some of the body's lines."""
+def _window(rows: Sequence[Row], terms: Sequence[dict[str, float]]) -> dict[str, Any]:
+    """Return means over some of the body's lines, and of the reward by term."""
+    names = dict.fromkeys(name for each in terms for name in each)
     return {
         "cycles": len(rows),
         "distance_per_cycle_m": _mean(row.distance_m for row in rows),
         "contact_share": _mean(row.contact_share for row in rows),
         "peak_force_n": _mean(row.peak_force_n for row in rows),
         "reward": _mean(row.reward for row in rows),
+        "reward_by_term": {name: _mean(each.get(name, 0.0) for each in terms) for name in names},
         "falls": sum(row.falls or 0 for row in rows),
     }
