@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,8 +20,9 @@ from ember_ros.bag.storage import STORAGES, BagOptions
 from ember_ros.cli_bags import COMMANDS, INTERRUPTED, PARAMS, console
 from ember_ros.errors import EmberError, ParameterError
 from ember_ros.experiments import lab, relearn
-from ember_ros.experiments.reproduction import ALL, DOCUMENT, RESULTS, STUDIES, document
-from ember_ros.experiments.study import Size, collect, write
+from ember_ros.experiments.reproduction import ALL, DOCUMENT, RESULTS, STUDIES, document, read
+from ember_ros.experiments.study import Size, Study, belongs, collect, write
+from ember_ros.experiments.words import Found
 from ember_ros.params import SPECS, Params
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.plan import Plan
@@ -396,6 +397,11 @@ def bench(params_files: tuple[Path, ...], out: Path, **sizes: int) -> None:
     show_default=True,
     help="Folder of all single runs; what is there is not run again.",
 )
+@click.option(
+    "--redraw",
+    is_flag=True,
+    help="Run nothing: make pages, tables and figures again from the results in --out.",
+)
 def experiment(
     name: str,
     seeds: int | None,
@@ -403,6 +409,7 @@ def experiment(
     walk_cycles: int | None,
     out: Path,
     trials: Path,
+    redraw: bool,
 ) -> None:
     """Run an experiment over many seeds, two runs at once, and write what came of it.
 
@@ -423,6 +430,9 @@ def experiment(
     all          all of the paper's, and the document REPRODUCTION.md
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
     command = shlex.join(["ember", *sys.argv[1:]])
+    if name == RELEARN and redraw:
+        _write_relearn(read(RELEARN, out / RESULTS), out)
+        return
     if name == RELEARN:
         _relearn(seeds or 5, cycles or relearn.CYCLES, walk_cycles or 300, out, trials, command)
         return
@@ -430,18 +440,35 @@ def experiment(
         raise ParameterError(
             "experiments need SciPy for their statistics: `pip install 'ember_ros[science]'`"
         )
-    size = Size(seeds or 10, cycles or 6000, walk_cycles or 7000)
     studies = list(STUDIES.values()) if name == ALL else [STUDIES[name]]
+    if redraw:
+        _redraw(studies, out)
+        return
+    size = Size(seeds or 10, cycles or 6000, walk_cycles or 7000)
     needed = [trial for study in studies for arm in study.arms(size) for trial in arm.trials]
     with stop_signals() as stop, _progress(name, 100, stop, "%") as go_on:
         whole = lab.run_all(needed, trials, lambda spent, of: go_on(100 * spent // of, 0))
     if not whole:
         console.print(f"Stopped; what was run is in {trials}, and is not run again.")
         sys.exit(INTERRUPTED)
-    for study in studies:
-        write(study, collect(study, size, command, trials), out / RESULTS)
+    _write(studies, [collect(study, size, command, trials) for study in studies], out)
+
+
+def _redraw(studies: Sequence[Study], out: Path) -> None:
+    """Write again what is made from results that are there."""
+    found = [read(study.name, out / RESULTS) for study in studies]
+    for study, each in zip(studies, found, strict=True):
+        why = belongs(study, each)
+        if why is not None:
+            console.print(f"{study.name}: not what this version would come to: {why}")
+    _write(studies, found, out)
+
+
+def _write(studies: Sequence[Study], found: Sequence[Found], out: Path) -> None:
+    for study, each in zip(studies, found, strict=True):
+        write(study, each, out / RESULTS)
     made = [f"{study.name}.md" for study in studies]
-    if name == ALL:
+    if len(studies) == len(STUDIES):
         (out / DOCUMENT).write_text(document(out / RESULTS), encoding="utf-8")
         made.append(f"../{DOCUMENT}")
     console.print(f"In {out / RESULTS}: {', '.join(made)}, with .json, .csv and .png of each")
@@ -452,15 +479,18 @@ def _relearn(
 ) -> None:
     with stop_signals() as stop, _progress(RELEARN, seeds, stop, "seeds") as go_on:
         found = relearn.relearn_experiment(
-            seeds, cycles, walk_cycles, trials / RELEARN, lambda done, of: go_on(done, 0)
+            seeds, cycles, walk_cycles, trials / RELEARN, lambda done, of: go_on(done, 0), command
         )
-    if len(found) < seeds:
-        console.print(f"Stopped after {len(found)} of {seeds} seeds; nothing was written.")
+    if len(found["seeds"]) < seeds:
+        console.print(f"Stopped after {len(found['seeds'])} of {seeds} seeds; nothing was written.")
         sys.exit(INTERRUPTED)
+    _write_relearn(found, out)
+
+
+def _write_relearn(found: Found, out: Path) -> None:
     folder = out / RESULTS
     folder.mkdir(parents=True, exist_ok=True)
-    text = relearn.page(found, cycles, walk_cycles, command)
-    (folder / f"{RELEARN}.md").write_text(text, encoding="utf-8")
+    (folder / f"{RELEARN}.md").write_text(relearn.page(found), encoding="utf-8")
     (folder / f"{RELEARN}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     console.print(f"In {folder}: {RELEARN}.md, {RELEARN}.json")
 

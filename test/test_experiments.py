@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from ember_ros.cli import main
-from ember_ros.experiments import lab, stats
+from ember_ros.experiments import lab, relearn, stats
 from ember_ros.experiments.central import CentralLoop
 from ember_ros.experiments.reproduction import DOCUMENT, RESULTS, STUDIES, document
 from ember_ros.experiments.studies import learners, senses
@@ -28,6 +28,7 @@ from ember_ros.experiments.study import (
     LEARNERS,
     OTHER_SEED,
     Size,
+    belongs,
     numbers,
     trained,
     walks,
@@ -37,6 +38,7 @@ from ember_ros.experiments.trial import (
     DECIDES,
     TABLE,
     Trial,
+    code_sha256,
     done,
     outcome,
     run_trial,
@@ -452,11 +454,42 @@ def test_all_experiments_in_small(tmp_path: Path, capfd: pytest.CaptureFixture[s
         assert f"## {study.title}\n" in page
     assert page == document(results)
     before = {file: file.read_bytes() for file in results.iterdir()}
+    for file in (*results.glob("*.md"), *results.glob("*.png"), tmp_path / DOCUMENT):
+        file.unlink()
+    assert ember("experiment", "all", "--redraw", "--out", tmp_path) == 0
+    assert "not what this version" not in "".join(capfd.readouterr())
+    assert {file: file.read_bytes() for file in results.iterdir()} == before
+    assert (tmp_path / DOCUMENT).read_text() == page
     ran = {file: file.stat().st_mtime_ns for file in (tmp_path / "trials").glob("*/*")}
     assert ember(*words) == 0
     assert {file: file.stat().st_mtime_ns for file in (tmp_path / "trials").glob("*/*")} == ran
     assert {file: file.read_bytes() for file in results.iterdir()} == before
     assert "REPRODUCTION.md" in "".join(capfd.readouterr())
+
+
+def test_results_of_other_code_are_told_apart(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A result that this version would not come to is drawn, and said to be another's."""
+    words = ("experiment", "fig5", *SMOKE, "--out", tmp_path, "--trials", tmp_path / "trials")
+    assert ember(*words) == 0
+    file = tmp_path / RESULTS / "fig5.json"
+    found = json.loads(file.read_text())
+    assert belongs(STUDIES["fig5"], found) is None
+    for where, change in (
+        (lambda found: found["about"], {"code_sha256": "0" * 64}),
+        (lambda found: found["arms"][1]["runs"][0], {"trial": "0" * 20}),
+        (lambda found: found["about"]["versions"], {"numpy": "1.0"}),
+    ):
+        other = json.loads(file.read_text())
+        where(other).update(change)
+        assert belongs(STUDIES["fig5"], other) is not None
+    other = json.loads(file.read_text())
+    other["about"]["code_sha256"] = "0" * 64
+    file.write_text(json.dumps(other))
+    capfd.readouterr()
+    assert ember("experiment", "fig5", "--redraw", "--out", tmp_path) == 0
+    assert "fig5: not what this version" in capfd.readouterr().out
 
 
 def test_several_seeds_in_small(tmp_path: Path) -> None:
@@ -476,6 +509,20 @@ def test_several_seeds_in_small(tmp_path: Path) -> None:
 def test_the_document_says_what_the_result_files_say() -> None:
     """docs/REPRODUCTION.md is made from docs/results, to the letter: no figure typed by hand."""
     assert (ROOT / "docs" / DOCUMENT).read_text() == document(ROOT / "docs" / RESULTS)
+
+
+@pytest.mark.parametrize("name", list(STUDIES))
+def test_the_result_files_are_of_this_code(name: str) -> None:
+    """Every trial in docs/results is one that this code asks for, run by the code as it is."""
+    found = json.loads((ROOT / "docs" / RESULTS / f"{name}.json").read_text())
+    assert belongs(STUDIES[name], found) is None
+
+
+def test_what_is_relearnt_is_of_this_code() -> None:
+    """So are the tables that were learnt from bags, and their page is made from them."""
+    found = json.loads((ROOT / "docs" / RESULTS / "relearn.json").read_text())
+    assert found["about"]["code_sha256"] == code_sha256()
+    assert (ROOT / "docs" / RESULTS / "relearn.md").read_text() == relearn.page(found)
 
 
 @pytest.mark.parametrize("name", list(STUDIES))

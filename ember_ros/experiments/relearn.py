@@ -17,7 +17,8 @@ from ember_ros.bag.relearn import relearn
 from ember_ros.bag.storage import BagOptions
 from ember_ros.experiments.lab import each_seed
 from ember_ros.experiments.study import OTHER_SEED, numbers
-from ember_ros.experiments.trial import LOW_M, TILT_RAD
+from ember_ros.experiments.trial import LOW_M, TILT_RAD, code_sha256
+from ember_ros.experiments.words import Found
 from ember_ros.params import replace
 from ember_ros.plan import Plan
 from ember_ros.run import run
@@ -73,9 +74,14 @@ def one_seed(seed: int, *, cycles: int, walk_cycles: int, out: Path) -> dict[str
 
 
 def relearn_experiment(
-    seeds: int, cycles: int, walk_cycles: int, out: Path, say: Callable[[int, int], bool]
-) -> list[dict[str, Any]]:
-    """Run all seeds and return their numbers in order of seed.
+    seeds: int,
+    cycles: int,
+    walk_cycles: int,
+    out: Path,
+    say: Callable[[int, int], bool],
+    command: str,
+) -> Found:
+    """Run all seeds and return what came of it: ``about``, and ``seeds`` in their order.
 
     Args:
         seeds: how many, from 0.
@@ -83,24 +89,37 @@ def relearn_experiment(
         walk_cycles: that are walked with what was learnt from them.
         out: folder for the runs and bags.
         say: told how many seeds are done of how many; returns whether to go on.
+        command: what was typed.
     """
     job = functools.partial(one_seed, cycles=cycles, walk_cycles=walk_cycles, out=out)
-    return each_seed(job, seeds, say)
+    return {
+        "about": {
+            "command": command,
+            "versions": versions(),
+            "code_sha256": code_sha256(),
+            "cycles": cycles,
+            "walk_cycles": walk_cycles,
+        },
+        "seeds": each_seed(job, seeds, say),
+    }
 
 
-def page(found: list[dict[str, Any]], cycles: int, walk_cycles: int, command: str) -> str:
+def page(result: Found) -> str:
     """Return the results as a Markdown page."""
+    about, found = result["about"], result["seeds"]
+    cycles, walk_cycles = about["cycles"], about["walk_cycles"]
+    smooth = " and ".join(f"`{name}: {value}`" for name, value in SMOOTH.items())
     lines = [
         "# Learnt again from bags",
         "",
-        f"Made by `{command}`; every number below is written by it (`relearn.json` holds them "
-        f"all). Versions: {', '.join(f'{k} {v}' for k, v in versions().items())}.",
+        f"Made by `{about['command']}`; every number below is written by it "
+        f"(`relearn.json` holds them all). Versions: {', '.join(f'{k} {v}' for k, v in about['versions'].items())}.",
         "",
         f"Walkers that learn nothing are recorded for {cycles} cycles: one with a random knee, "
         "one with the knee written by hand. `ember relearn` works out the table that one-step "
         "Q-learning gets from each bag, in one pass and without one new tick (`--params plain`). "
         f"Legs with that table, frozen, then walk {walk_cycles} cycles with another seed. Read "
-        "smoothed: `walk.smooth: 0.3` and `walk.prior: 5.0` in the parameter file. The empty "
+        f"smoothed: {smooth} in the parameter file. The empty "
         "table is frozen too: all its actions are ties, and its legs act at random.",
         "",
         "```",

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ember_ros.experiments.trial import WINDOW, Outcome, Trial, outcome
+from ember_ros.experiments.trial import WINDOW, Outcome, Trial, code_sha256, outcome
 from ember_ros.experiments.words import Claim, Found, Run, grid
 from ember_ros.params import Params, replace
 from ember_ros.params_file import CONFIG, load_params
@@ -152,6 +152,7 @@ def collect(study: Study, size: Size, command: str, folder: Path) -> Found:
         "about": {
             "command": command,
             "versions": versions(),
+            "code_sha256": code_sha256(),
             "ticks": Params().gait.ticks,
             **size._asdict(),
             "brief": size.brief,
@@ -191,6 +192,24 @@ def _run(trial: Trial, found: Outcome, folder: Path) -> Run:
         for name in [name for name in line if name.startswith(("roll", "pitch"))]:
             line.pop(name)
     return line
+
+
+def belongs(study: Study, found: Found) -> str | None:
+    """Return why a result is not what this code would come to; None where it is."""
+    about = found["about"]
+    if about.get("code_sha256") != code_sha256():
+        return "the code that decides is not the one that ran it"
+    size = Size(about["seeds"], about["train"], about["walk"])
+    names = [
+        {"trial": trial.named(about["versions"])}
+        | ({"start": trial.start.named(about["versions"])} if trial.start else {})
+        for arm in study.arms(size)
+        for trial in arm.trials
+    ]
+    runs = [run for arm in found["arms"] for run in arm["runs"]]
+    if [{key: run[key] for key in ("trial", "start") if key in run} for run in runs] != names:
+        return "its trials are not those that this code asks for"
+    return None
 
 
 def write(study: Study, found: Found, folder: Path) -> None:

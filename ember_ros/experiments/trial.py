@@ -16,7 +16,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -106,6 +106,10 @@ class Trial:
     @functools.cached_property
     def key(self) -> str:
         """Names the trial: equal exactly where all that determines it is equal."""
+        return self.named(versions())
+
+    def named(self, known: Mapping[str, str]) -> str:
+        """Return the key that the trial has with these versions of all that is installed."""
         content = [
             self.world,
             self.cycles,
@@ -113,9 +117,9 @@ class Trial:
             params_sha256(self.params),
             self.policy,
             self.learning,
-            self.start.key if self.start else None,
+            self.start.named(known) if self.start else None,
             code_sha256(),
-            versions(),
+            dict(known),
         ]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
 

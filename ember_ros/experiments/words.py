@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from ember_ros.experiments import stats
+from ember_ros.experiments.trial import LOW_M, TILT_RAD
 
 Found = dict[str, Any]
 """An experiment's JSON value: ``name``, ``about``, ``arms`` (``labels``, ``runs``), ``curves``."""
@@ -87,7 +88,7 @@ def told(found: stats.Interval, form: str = ".3f", sign: str = "+") -> str:
     return f"{found.mean:{sign}{form}} [{found.low:{sign}{form}}, {found.high:{sign}{form}}]"
 
 
-def bar(passed: bool, runs: Sequence[Run]) -> str:
+def bar(passed: bool, runs: Sequence[Any]) -> str:
     """Return the verdict on a bar; one seed proves nothing."""
     return "unclear" if len(runs) < 2 else "holds" if passed else "fails"
 
@@ -127,8 +128,10 @@ def walkers(arms: Sequence[dict[str, Any]]) -> list[str]:
     return grid(heads, lines)
 
 
+OUTSIDE = f"roll or pitch over {TILT_RAD} rad or hips under {LOW_M} m"
+"""When a cycle is counted as outside."""
 WALKERS_NOTE = (
     "Medians over seeds with quartiles; falls of all runs together; outside: share of cycles with "
-    "roll or pitch over 0.3 rad or hips under 0.36 m."
+    f"{OUTSIDE}."
 )
 """Stands below every table of walkers."""

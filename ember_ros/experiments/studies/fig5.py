@@ -10,17 +10,21 @@ from numpy.typing import NDArray
 
 from ember_ros.experiments import stats, words
 from ember_ros.experiments.study import LEARNERS, Arm, Size, Study, numbers
-from ember_ros.experiments.trial import Outcome, Trial
+from ember_ros.experiments.trial import WINDOW, Outcome, Trial
 from ember_ros.experiments.words import Claim, Found
 from ember_ros.report.figures import AMBER, BLUE, INK, canvas, save
 
 HEIGHTS = ("fixed", "modulated")
+ENDS = ("first", "last")
 BINS = 120
 """Points of a curve."""
 MEAN = 200
 """Steps that are averaged where it is asked when a curve settles."""
 SETTLED = 0.9
 """A curve has settled where it has gone this share of its way, from its first mean to its last."""
+EVEN, MOSTLY = 0.15, 0.8
+"""Steps are even where their standard deviation is at most this share of their mean; asked of this
+share of the seeds."""
 QUANTITIES = {"distance_m": "distance a step, m", "peak_force_n": "peak force a step, N"}
 
 
@@ -64,6 +68,21 @@ def settles(values: NDArray[np.float64]) -> int:
     return int(np.argmax((mean - mean[0]) / way >= SETTLED)) + window
 
 
+def evenness(way: NDArray[np.float64]) -> dict[str, float]:
+    """Return how even steps are.
+
+    Args:
+        way: the distance of each step, m.
+
+    Returns:
+        Their standard deviation, that by their mean, and the correlation of a step with the next
+        one, which is negative where short and long ones alternate.
+    """
+    spread, mean = float(way.std()), float(way.mean())
+    lag = float(np.corrcoef(way[:-1], way[1:])[0, 1]) if len(way) > 2 and spread > 0.0 else 0.0
+    return {"sd": spread, "share": spread / mean if mean > 0.0 else float("inf"), "lag": lag}
+
+
 def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
     """Return, for each arm, median and quartiles of each quantity, and when each seed settles."""
     found: dict[str, Any] = {}
@@ -83,7 +102,19 @@ def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
                 "first": each[:, :MEAN].mean(axis=1).round(5).tolist(),
                 "last": each[:, -MEAN:].mean(axis=1).round(5).tolist(),
             }
+        ways = [outcome.cycles["distance_m"] for outcome in outcomes]
+        for end, window in (("first", slice(None, WINDOW)), ("last", slice(-WINDOW, None))):
+            even = [evenness(way[window]) for way in ways]
+            found["/".join((*arm.labels.values(), f"even_{end}"))] = {
+                name: [round(one[name], 4) if np.isfinite(one[name]) else None for one in even]
+                for name in even[0]
+            }
     return found
+
+
+def _shares(values: list[float | None]) -> str:
+    """Return shares of the mean, seed by seed; of a mean that is no way forward there is none."""
+    return ", ".join("-" if value is None else f"{value:.0%}" for value in values)
 
 
 def claims(found: Found) -> list[Claim]:
@@ -100,6 +131,25 @@ def claims(found: Found) -> list[Claim]:
                 told = f"{words.told(change, form)} {unit} from the first {MEAN} steps to the last"
                 word = stats.verdict(change, claimed=sign)
                 lines.append(Claim(says, f"`{learner}`, {height} stop", told, word))
+            first, last = (found["curves"][f"{learner}/{height}/even_{e}"] for e in ENDS)
+            change = stats.difference(last["sd"], first["sd"])
+            even = sum(share is not None and share <= EVEN for share in last["share"])
+            where, n = f"`{learner}`, {height} stop", len(last["sd"])
+            lines += [
+                Claim(
+                    "steps even out: the SD of the distance falls",
+                    where,
+                    f"{words.told(change)} m from the first {WINDOW} steps to the last",
+                    stats.verdict(change, claimed=-1),
+                ),
+                Claim(
+                    f"asked for: an SD of at most {EVEN:.0%} of the mean over the last {WINDOW} "
+                    f"steps in at least {MOSTLY:.0%} of the trainings",
+                    where,
+                    f"{even} of {n}; {_shares(last['share'])} of the mean",
+                    words.bar(even >= MOSTLY * n, last["sd"]),
+                ),
+            ]
         settled = [found["curves"][f"{learner}/{h}/distance_m"]["settles"] for h in HEIGHTS]
         slower = stats.difference(settled[1], settled[0])
         fixed, modulated = (words.runs_of(found, learner=learner, height=h) for h in HEIGHTS)
@@ -114,7 +164,7 @@ def claims(found: Found) -> list[Claim]:
             Claim(
                 "with the modulated (and higher) stop steps end shorter",
                 f"`{learner}`",
-                f"{words.told(shorter)} m over the last 500 steps",
+                f"{words.told(shorter)} m over the last {WINDOW} steps",
                 stats.verdict(shorter, claimed=-1),
             ),
         ]
@@ -123,9 +173,21 @@ def claims(found: Found) -> list[Claim]:
 
 def text(found: Found) -> list[str]:
     """Say what came of it."""
-    lines = []
+    lines, even = [], []
     for learner in LEARNERS:
         for height in HEIGHTS:
+            first, last = (found["curves"][f"{learner}/{height}/even_{e}"] for e in ENDS)
+            even.append(
+                (
+                    learner,
+                    height,
+                    words.spread(first["sd"]),
+                    words.spread(last["sd"]),
+                    _shares(last["share"]),
+                    words.spread(first["lag"], ".2f"),
+                    words.spread(last["lag"], ".2f"),
+                )
+            )
             runs = words.runs_of(found, learner=learner, height=height)
             curve = {n: found["curves"][f"{learner}/{height}/{n}"] for n in QUANTITIES}
             lines.append(
@@ -144,10 +206,27 @@ def text(found: Found) -> list[str]:
     return [
         *words.grid(heads, lines),
         "",
-        "Medians over seeds with quartiles; at the end: the last 500 steps. A curve settles where "
-        f"its mean over {MEAN} steps has first gone {SETTLED:.0%} of its way. `ember` begins with "
-        "random actions alone, and their share falls over half of the training: where its curves "
-        "settle is a matter of that.",
+        "How even the steps are: the standard deviation of the distance, m, and the correlation of "
+        f"a step with the next, over the first {WINDOW} steps and the last:",
+        "",
+        *words.grid(
+            (
+                "learner",
+                "stop",
+                "SD, first",
+                "SD, last",
+                "SD by mean, last, seed by seed",
+                "next step, first",
+                "next step, last",
+            ),
+            even,
+        ),
+        "",
+        f"Medians over seeds with quartiles; at the end: the last {WINDOW} steps. A curve "
+        f"settles where its mean over {MEAN} steps has first gone {SETTLED:.0%} of its way. "
+        f"`ember` begins with {numbers().train.epsilon_start:.0%} random actions, and their share "
+        f"falls over the first {numbers().train.epsilon_cycles} steps: where its curves settle is "
+        "a matter of that.",
         "",
         about_stops(),
     ]

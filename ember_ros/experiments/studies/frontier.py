@@ -23,6 +23,7 @@ from ember_ros.experiments.study import (
 from ember_ros.experiments.trial import Outcome
 from ember_ros.experiments.words import Claim, Found
 from ember_ros.report.figures import GREY, canvas, save
+from leg_node.state import Partition
 
 BODIES = ("short", "narrow")
 AIM = 1.0
@@ -176,7 +177,8 @@ def text(found: Found) -> list[str]:
         "",
         "What a leg can sense of this by itself is its own height and its contact at the end of "
         "swing, and it knows the phase: with `reward.lead` the last ticks before stance are "
-        "rewarded as stance is. The state is not changed: 17 x 8 x 8 x 2 x 2. It goes with "
+        "rewarded as stance is. The state is not changed: "
+        f"{' x '.join(map(str, Partition(numbers()).shape))}. It goes with "
         "more exploration on the trainer (`train.epsilon_start`): the table of the learners tells "
         "what each of the two does without the other.",
         "",
@@ -188,7 +190,8 @@ def text(found: Found) -> list[str]:
         "",
         words.WALKERS_NOTE,
         "",
-        "Ever narrower hips in a body of 1.2 m; falls per 1000 cycles, and distance a cycle, m:",
+        f"Ever narrower hips in a body of {numbers().walker.length} m; falls per 1000 cycles, and "
+        "distance a cycle, m:",
         "",
         *words.grid(
             (

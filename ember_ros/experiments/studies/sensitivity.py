@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ember_ros.experiments import stats, words
-from ember_ros.experiments.study import Arm, Size, Study, trained, walks
+from ember_ros.experiments.study import Arm, Size, Study, numbers, trained, walks
 from ember_ros.experiments.words import Found
 from ember_ros.report.figures import AMBER, BLUE, GREY, INK, canvas, save
 
@@ -22,12 +22,15 @@ class Sweep(NamedTuple):
     """Whether legs are trained with it too; the body's numbers are none of the trainer's."""
 
 
+TICKS = numbers().gait.ticks
+THREE_TO_ONE, THREE_TO_TWO = 3 / 4, round(3 / 5 * TICKS) / TICKS
+"""Shares of the cycle in stance; the second to the next whole tick."""
 SWEEPS = (
     Sweep("walker__twist_amplitude", "twist, rad", (0.0, 0.05, 0.10, 0.15)),
     Sweep("walker__twist_phase", "phase of the twist, cycles", (0.125, 0.375, 0.625, 0.875)),
     Sweep("leg__operating_height", "operating height, m", (0.43, 0.45, 0.46), True),
     Sweep("trainer__stop_height", "trainer's stop, m", (0.40, 0.41, 0.42, 0.43), True),
-    Sweep("gait__stance_share", "share of stance", (19 / 32, 22 / 32, 24 / 32), True),
+    Sweep("gait__stance_share", "share of stance", (THREE_TO_TWO, 22 / TICKS, THREE_TO_ONE), True),
     Sweep("physics__friction", "friction", (0.4, 0.7, 1.0), True),
     Sweep("walker__hip_half_width", "half width of the hips, m", (0.10, 0.14, 0.22, 0.35)),
     Sweep("walker__length", "length of the body, m", (0.6, 0.8, 1.2, 1.5)),
@@ -95,7 +98,8 @@ def text(found: Found) -> list[str]:
         "",
         *words.grid(heads, lines),
         "",
-        "3 to 1 is 24/32 = 0.75 of stance; 19/32 = 0.59 is the nearest to 3 to 2.",
+        f"3 to 1 is {THREE_TO_ONE:g} of stance; {THREE_TO_TWO:.3f}, that is "
+        f"{round(THREE_TO_TWO * TICKS)} of {TICKS} ticks, is the nearest to 3 to 2.",
     ]
 
 

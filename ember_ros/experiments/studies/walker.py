@@ -166,7 +166,7 @@ def failures(found: Found) -> list[str]:
             )
         )
     heads = ("learner", "seeds", "walking seeds", "never fell", "first fell at step", "falls")
-    return words.grid((*heads, "falls per 1000", "outside after 100 steps, median"), lines)
+    return words.grid((*heads, "falls per 1000", f"outside after {SETTLING} steps, median"), lines)
 
 
 def gaits(found: Found) -> list[str]:
@@ -229,8 +229,8 @@ def text(found: Found) -> list[str]:
         "",
         "Held out: seeds that no number was chosen on. Body and ground are without noise, and "
         "`ember` explores nothing on the body: there a walking seed breaks ties and does no more, "
-        "and ten walkers are ten trainings. Outside: share "
-        "of steps with roll or pitch over 0.3 rad or hips under 0.36 m. Never fell: with its exact "
+        "and walkers are as many as their trainings. Outside: share "
+        f"of steps with {words.OUTSIDE}. Never fell: with its exact "
         "95 % interval (Clopper-Pearson).",
         "",
         f"Figure 6. Standard deviation over all ticks of {WINDOW} steps, rad; the figure's curve "
