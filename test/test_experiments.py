@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -476,11 +477,12 @@ def test_results_of_other_code_are_told_apart(
     file = tmp_path / RESULTS / "fig5.json"
     found = json.loads(file.read_text())
     assert belongs(STUDIES["fig5"], found) is None
-    for where, change in (
+    changes: list[tuple[Callable[[Any], Any], dict[str, str]]] = [
         (lambda found: found["about"], {"code_sha256": "0" * 64}),
         (lambda found: found["arms"][1]["runs"][0], {"trial": "0" * 20}),
         (lambda found: found["about"]["versions"], {"numpy": "1.0"}),
-    ):
+    ]
+    for where, change in changes:
         other = json.loads(file.read_text())
         where(other).update(change)
         assert belongs(STUDIES["fig5"], other) is not None

@@ -108,12 +108,13 @@ def page(result: Found) -> str:
     """Return the results as a Markdown page."""
     about, found = result["about"], result["seeds"]
     cycles, walk_cycles = about["cycles"], about["walk_cycles"]
+    known = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
     smooth = " and ".join(f"`{name}: {value}`" for name, value in SMOOTH.items())
     lines = [
         "# Learnt again from bags",
         "",
         f"Made by `{about['command']}`; every number below is written by it "
-        f"(`relearn.json` holds them all). Versions: {', '.join(f'{k} {v}' for k, v in about['versions'].items())}.",
+        f"(`relearn.json` holds them all). Versions: {known}.",
         "",
         f"Walkers that learn nothing are recorded for {cycles} cycles: one with a random knee, "
         "one with the knee written by hand. `ember relearn` works out the table that one-step "
