@@ -262,6 +262,8 @@ def section(study: Study, found: Found, heading: str, figures: str = "") -> list
     seeds = f"{few} to {many}" if few < many else f"{few}"
     spent = cpu_seconds([found])
     claims = study.claims(found)
+    why = belongs(study, found)
+    stale = f"**Older than this version:** {why}; `ember experiment {study.name}` runs it again."
     verdicts = [
         *grid(
             ("claim", "where", "seed by seed, mean [95 %]", "verdict"),
@@ -274,6 +276,7 @@ def section(study: Study, found: Found, heading: str, figures: str = "") -> list
         "",
         f"**The paper:** {study.paper}",
         "",
+        *([] if why is None else [stale, ""]),
         *(verdicts if claims else []),
         *study.text(found),
         "",
