@@ -13,6 +13,12 @@ import numpy as np
 from ember_ros.params import Learning
 from leg_node.table import Floats, Table
 
+_ORDER = (5, 0, 3, 4, 2, 1)
+"""The table's axes (hip, force, inclination, swing, hair, action) as they are worked on: the outer
+axes move in long stretches of memory."""
+_SPREAD = (0, 1, 3, 4, 5)
+"""Of these, the axes along which neighbours have a say: all but swing."""
+
 
 class Reading(Protocol):
     """What a leg believes of a state's actions."""
@@ -42,6 +48,9 @@ class SmoothReading:
     nothing to say to each other. ``prior``: what is known of a whole state stands in for actions
     that were hardly tried, less ``pessimism``: an untried action is not good merely because all
     others have been found to cost something.
+
+    Only sums, products and quotients of single numbers in an order of its own: the bits do not
+    hang on CPU, BLAS, width of SIMD or number of threads, as those of products of matrices do.
     """
 
     def __init__(
@@ -60,15 +69,6 @@ class SmoothReading:
         self._every = numbers.smooth_every * ticks
         self._turn = -1
         self._values: Floats = np.empty((table.states, table.actions))
-        hip, force, inclination, swing, hair, actions = map(self._kernel, self._shape)
-        # Neighbouring axes together, so that a spread is three products of matrices.
-        self._hip, self._contact = hip, np.kron(force, inclination)
-        self._rest = np.kron(np.eye(len(swing)), np.kron(hair, actions))
-
-    def _kernel(self, bins: int) -> Floats:
-        places = np.arange(bins)
-        kernel: Floats = self._numbers.smooth ** np.abs(places[:, None] - places).astype(float)
-        return kernel
 
     def row(self, tick: int, state: int) -> list[float]:
         """Return what the table and its neighbourhood say of the state's actions."""
@@ -79,26 +79,48 @@ class SmoothReading:
         row: list[float] = self._values[state].tolist()
         return row
 
-    def _spread(self, field: Floats) -> Floats:
-        """Return a field in which every cell has its neighbours' share, its own once."""
-        bins = len(self._hip), len(self._contact), len(self._rest)
-        field = (self._hip @ field.reshape(bins[0], -1)).reshape(bins)
-        spread: Floats = self._contact @ (field @ self._rest)
-        return spread.reshape(self._shape)
-
     def _read(self) -> None:
         numbers = self._numbers
-        values = self._table.values.reshape(self._shape)
-        visits = self._table.visits.reshape(self._shape)
-        own = np.minimum(visits, numbers.visits_own).astype(float)
-        near = np.minimum(visits, numbers.visits_near).astype(float)
-        weight = self._spread(near) + (own - near)
-        total = self._spread(near * values) + (own - near) * values
-        known = weight.sum(axis=-1, keepdims=True)
-        state = np.divide(
-            total.sum(axis=-1, keepdims=True), known, out=np.zeros_like(known), where=known > 0.0
-        )
+        values = self._table.values.reshape(self._shape).transpose(_ORDER)
+        visits = self._table.visits.reshape(self._shape).transpose(_ORDER)
+        near = np.ascontiguousarray(np.minimum(visits, numbers.visits_near), dtype=float)
+        more = np.minimum(visits, numbers.visits_own) - near
+        both = np.empty((2, *near.shape))  # weights, and values by weight
+        weight, total = both
+        weight[:] = near
+        np.multiply(near, values, out=total)
+        for axis in _SPREAD:
+            _spread(both, axis + 1, numbers.smooth)
+        weight += more
+        total += more * values
+        known = _sum(weight)
+        state = np.divide(_sum(total), known, out=np.zeros_like(known), where=known > 0.0)
         total += numbers.prior * (state - numbers.pessimism)
         weight += numbers.prior
         believed = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0.0)
-        self._values = believed.reshape(self._table.states, self._table.actions)
+        back = believed.transpose(np.argsort(_ORDER))
+        self._values = back.reshape(self._table.states, self._table.actions)
+
+
+def _spread(field: Floats, axis: int, share: float) -> None:
+    """Add to every bin of an axis ``share ** distance`` of every other one, in place.
+
+    What has come from one side is carried on from bin to bin: two sums a bin.
+    """
+    bins = list(np.moveaxis(field, axis, 0))
+    last = len(bins) - 1
+    above = [np.zeros_like(bins[0])]  # what the bins beyond each one give it, the last one first
+    for n in range(last, 0, -1):
+        above.append(share * (bins[n] + above[-1]))
+    for n in range(1, last + 1):
+        bins[n] += share * bins[n - 1]  # which has its share of all before it already
+    for n in range(last):
+        bins[n] += above[last - n]
+
+
+def _sum(field: Floats) -> Floats:
+    """Return the sum along the first axis, one after the other."""
+    total = field[0].copy()
+    for each in field[1:]:
+        total += each
+    return total

@@ -11,8 +11,8 @@ from ember_ros.params import Learning, Rate
 from leg_node.reading import PlainReading, SmoothReading
 from leg_node.table import Floats, Table
 
-SHAPE, ACTIONS, TICKS = (3, 2, 2, 2, 2), 3, 4
-STATES = 48
+SHAPE, ACTIONS, TICKS = (3, 2, 4, 2, 2), 3, 4
+STATES = 96
 
 
 def some_table(seed: int = 0) -> Table:
