@@ -98,7 +98,7 @@ class SmoothReading:
         total += numbers.prior * (state - numbers.pessimism)
         weight += numbers.prior
         believed = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0.0)
-        back = believed.transpose(np.argsort(_ORDER))
+        back: Floats = believed.transpose(np.argsort(_ORDER))
         self._values = back.reshape(self._table.states, self._table.actions)
 
 
@@ -120,7 +120,7 @@ def _spread(field: Floats, axis: int, share: float) -> None:
 
 def _sum(field: Floats) -> Floats:
     """Return the sum along the first axis, one after the other."""
-    total = field[0].copy()
+    total: Floats = field[0].copy()
     for each in field[1:]:
         total += each
     return total
