@@ -2,18 +2,45 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+import struct
+import sys
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ember_ros.kinematics import height, knee_for_height
+from ember_ros.kinematics import arc_cosine, cosine, height, knee_for_height
 from ember_ros.params import Leg
 
 LEG = Leg()
 UNEQUAL = Leg(thigh_length=0.31, shank_length=0.22, foot_radius=0.03)
 EXACT = 1e-12  # m and rad: rounding of a few sines
+EPSILON = sys.float_info.epsilon
+GOLDEN = "9e4d0876eb78d0f4ade5653baae8465c7d508a4945719b97eace7707c2a1aef3"
+
+
+@settings(max_examples=500, deadline=None, derandomize=True)
+@given(angle=st.floats(-7.0, 7.0))
+def test_the_cosine_is_the_cosine(angle: float) -> None:
+    """To the rounding of an angle of this size."""
+    assert abs(cosine(angle) - math.cos(angle)) <= 8 * EPSILON
+
+
+@settings(max_examples=500, deadline=None, derandomize=True)
+@given(value=st.floats(-1.0, 1.0))
+def test_the_arc_cosine_is_the_arc_cosine(value: float) -> None:
+    """To the rounding of an angle of this size."""
+    assert abs(arc_cosine(value) - math.acos(value)) <= 8 * EPSILON
+
+
+def test_cosines_to_the_bit() -> None:
+    """On every machine and with every C library: these decide what a leg is paid."""
+    angles = [n / 64 - 5.0 for n in range(640)]
+    bits = struct.pack("<640d", *map(cosine, angles))
+    bits += struct.pack("<640d", *(arc_cosine(n / 320 - 1.0) for n in range(640)))
+    assert hashlib.sha256(bits).hexdigest() == GOLDEN
 
 
 def test_a_straight_leg_is_as_high_as_it_is_long() -> None:
