@@ -221,13 +221,13 @@ def play(
                     "another ROS_DOMAIN_ID"
                 )
             node.paused = paused
-            with _bar("playing", opened.seconds) as update, _space() as pressed:
+            with _bar("playing", node.messages) as update, _space() as pressed:
                 while not stop.asked and not node.done:
                     executor.spin_once(timeout_sec=LONGEST_S)
                     if pressed():
                         node.paused = not node.paused
                     paused_now = ", paused" if node.paused else ""
-                    update(node.seconds, f"{node.seconds:.1f} s{paused_now}")
+                    update(node.played, f"{node.seconds:.1f} s{paused_now}")
             if node.failed is not None:
                 raise node.failed
             console.print(f"{node.played} messages")

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ember_ros import topics
@@ -142,9 +142,19 @@ class Stamped(NamedTuple):
 
 
 class JointWire:
-    """A sensor_msgs/JointState of fixed names, one or two of its three arrays in use."""
+    """A sensor_msgs/JointState that has fixed names, one or two of its three arrays in use.
+
+    Ours are laid out in one way. Those of others may name their joints in any order and more of
+    them, and what an array holds that is not in use is nobody's concern.
+    """
 
     FIELDS = ("position", "velocity", "effort")
+    MEANS: Mapping[str, str] = {
+        "position": "a leg knows its state by it",
+        "velocity": "a speed is sensed or asked for, and nobody here makes one up",
+        "effort": "it says a force or the largest torque, and none is not the same as 0",
+    }
+    """Why each must be there, where it is in use."""
 
     def __init__(self, frame: str, names: Sequence[str], first: str, second: str = "") -> None:
         """Lay the message out.
@@ -188,7 +198,7 @@ class JointWire:
         """Return the numbers in a message.
 
         Raises:
-            SignalError: it is no JointState, has other names or lengths, or is not finite.
+            SignalError: it is no JointState, a name or its number is missing, or is not finite.
         """
         return self.read_ours(data) or self._read_slowly(data, where)
 
@@ -212,23 +222,28 @@ class JointWire:
     def _read_slowly(self, data: Bytes, where: str) -> Stamped:
         """Read a message that others made, or say what is wrong with it."""
         message = _deserialize(data, topics.JOINT_STATE, where)
-        if list(message.name) != self.names:
+        names = list(message.name)
+        if missing := [name for name in self.names if names.count(name) != 1]:
             raise SignalError(
-                f"{where}: joint names {list(message.name)}; {self.names} would be right"
+                f"{where}: joint names {names}; each of {missing} once would be right, in any order"
             )
+        places = [names.index(name) for name in self.names]
         numbers = []
         for field in (self.first, self.second):
             if not field:
                 numbers.append(())
                 continue
-            numbers.append(tuple(getattr(message, field)))
-            if len(numbers[-1]) != self._n:
+            every = getattr(message, field)
+            if len(every) != len(names):
                 raise SignalError(
-                    f"{where}: {len(numbers[-1])} numbers in {field}; {self._n}, one a name, "
-                    "would be right"
+                    f"{where}: {len(every)} numbers in {field}; {len(names)}, one a name, would be "
+                    f"right: {self.MEANS[field]}"
                 )
+            numbers.append(tuple(float(every[place]) for place in places))
             if not all(map(math.isfinite, numbers[-1])):
-                raise SignalError(f"{where}: {field} {list(numbers[-1])} is not finite")
+                raise SignalError(
+                    f"{where}: {field} {list(numbers[-1])} is not finite: {self.MEANS[field]}"
+                )
         stamp = message.header.stamp
         return Stamped(stamp.sec * GIGA + stamp.nanosec, *numbers)
 

@@ -44,8 +44,9 @@ ROSDEP = {
     "scipy": "python3-scipy",
     "yaml": "python3-yaml",
 }
-# Imported only by `ember` verbs that say how to install them: the extra `bags`.
-OPTIONAL = {"mcap", "rosbags"}
+# Imported only by `ember` verbs that say how to install them: the extra `bags`; mcap needs the first
+# and the last itself.
+OPTIONAL = {"lz4", "mcap", "rosbags", "zstandard"}
 
 
 @pytest.fixture

@@ -228,9 +228,10 @@ def stamped(sec: int, nanosec: int) -> Change:
 
 
 ANY_BAD = [
-    (setting("name", ["knee", "hip"]), r"names \['knee', 'hip'\]"),
+    (setting("name", ["hip", "toe"]), r"names \['hip', 'toe'\]"),
+    (setting("name", ["hip", "hip"]), r"names \['hip', 'hip'\]"),
     (setting("name", []), r"names \[\]"),
-    (setting("name", ["hip", "knee", "toe"]), "names"),
+    (setting("name", ["hip", "knee", "toe"]), "names|2 numbers in .*; 3, one a name"),
     (stamped(0, TICK_NS - 1), "stamp 15624999 ns"),
     (stamped(0, 1), "stamp 1 ns"),
     (stamped(-1, 0), "stamp -1000000000 ns"),
@@ -242,6 +243,7 @@ JOINTS_BAD = [
     (setting("position", [0.1]), "1 numbers in position"),
     (setting("position", []), "0 numbers in position"),
     (setting("velocity", [0.1] * 3), "3 numbers in velocity"),
+    (setting("velocity", []), "0 numbers in velocity; 2, .*speed is sensed or asked for"),
 ]
 CONTACT_BAD = [
     *ANY_BAD,
@@ -269,12 +271,53 @@ COMMAND_BAD = [
 ]
 
 
+def turned_round(message: JointState) -> None:
+    """Name the joints the other way round, as another driver may."""
+    message.name = message.name[::-1]
+    for field in ("position", "velocity", "effort"):
+        setattr(message, field, getattr(message, field)[::-1])
+
+
+def with_more(message: JointState) -> None:
+    """Name joints of somebody else before and behind; what they read is nobody's concern."""
+    message.name = ["ankle", *message.name, "tail"]
+    for field in ("position", "velocity", "effort"):
+        if values := list(getattr(message, field)):
+            setattr(message, field, [math.nan, *values, math.inf])
+
+
+def with_another_frame(message: JointState) -> None:
+    """Say another frame than ours."""
+    message.header.frame_id = "base_link"
+
+
 def changed(data: bytes, change: Change) -> bytes:
     """Return a message's bytes after a change."""
     message = deserialize_message(data, JointState)
     change(message)
     made: bytes = serialize_message(message)
     return made
+
+
+@pytest.mark.parametrize("change", [turned_round, with_more, with_another_frame])
+def test_joints_are_found_by_name(change: Change) -> None:
+    """Whatever the order and whoever else is named, each number is that of its joint."""
+    senses, wired = wire.SenseWire("rear_left", TICK_NS), wire.CommandWire("rear_left", TICK_NS)
+    sense = EXTREME._replace(hip=0.1, knee=0.2, hip_speed=0.3, knee_speed=0.4)
+    joints, contact = senses.pack(sense)
+    tick, first = senses.read_joints(changed(joints, change))
+    _, second = senses.read_contact(changed(contact, change))
+    assert repr(senses.sense(tick, first, second)) == repr(sense)
+    command = LegCommand(3, 1.0, 2.0, 3.0, 4.0)
+    assert wired.read(changed(wired.pack(command), change)) == command
+
+
+def test_what_is_not_in_use_may_be_anything() -> None:
+    """Joint states carry no effort that anybody reads: a driver may say nan, or more of them."""
+    senses = wire.SenseWire("rear_left", TICK_NS)
+    plain = senses.pack(EXTREME)[0]
+    found = senses.read_joints(changed(plain, setting("effort", [math.nan, math.nan])))
+    assert found == senses.read_joints(plain)
 
 
 @pytest.mark.parametrize(("change", "names"), JOINTS_BAD)

@@ -106,8 +106,7 @@ def info(bag: Bag) -> tuple[dict[str, Any], list[Row]]:
     if bag.path.is_dir():
         metadata = read_metadata(bag.path)
         found["storage"] = metadata.get("storage_identifier")
-        files = metadata.get("relative_file_paths") or []
-        found["files"] = {name: (bag.path / name).stat().st_size for name in files}
+        found["files"] = {file.name: file.stat().st_size for file in bag.files}
     if bag.card is not None:
         found["card"] = {
             "legs": {leg: told._asdict() for leg, told in bag.card.legs.items()},

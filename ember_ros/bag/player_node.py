@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
@@ -17,6 +18,10 @@ from ember_ros.errors import BagError
 PAUSE = topics.Service("play/pause", "std_srvs/srv/SetBool")
 MOST = 256
 """Messages a turn: Fast DDS holds 512 between two processes."""
+LONGEST_GAP_S = 30.0
+"""Of the bag's own time without a message: what is longer is left out."""
+NOT_PLAYED = ("/rosout", "/parameter_events")
+"""What `ros2 bag record --all` records too, and every node that runs publishes itself."""
 SHORTEST_S, LONGEST_S = 0.001, 0.05
 """Wall time between two looks at what is due: about a tick, within these."""
 
@@ -60,7 +65,7 @@ class PlayerNode(Node):  # type: ignore[misc]
         self.played = 0
         """Messages that were published."""
         self.seconds = start_s
-        """How far into the bag it is, in the bag's own time."""
+        """How far into the bag it is, in the bag's own time without the gaps that are left out."""
         for leg in live:
             if leg not in bag.legs:
                 raise BagError(f"{bag.path} has no leg {leg!r}; it has {', '.join(bag.legs)}")
@@ -78,13 +83,27 @@ class PlayerNode(Node):  # type: ignore[misc]
         for topic, connection in bag.connections.items():
             if topic in left_out or not topic.startswith(prefix) or topic.startswith(others):
                 continue
+            if topic in NOT_PLAYED:
+                self.get_logger().info(f"{topic} is left out: every node here has its own")
+                continue
+            if connection.encoding != "cdr" or connection.msgtype.split("/")[1:2] != ["msg"]:
+                self.get_logger().warning(
+                    f"{topic} is left out: no messages of ROS 2, but {connection.encoding} of type "
+                    f"{connection.msgtype!r}"
+                )
+                continue
             try:
                 named = topics.Topic(topic, connection.msgtype)
                 self._sayers[topic] = named.publish(self)
-            except (ImportError, AttributeError):
+            except (ImportError, AttributeError, ValueError):
                 self.get_logger().warning(
                     f"{topic} is left out: there is no {connection.msgtype} in this environment"
                 )
+            except InvalidTopicNameException:
+                self.get_logger().warning(f"{topic} is left out: that is no name of a topic")
+        self._types = {topic: bag.connections[topic].msgtype for topic in self._sayers}
+        self.messages = sum(bag.connections[topic].msgcount for topic in self._sayers)
+        """How many there are to publish."""
         self._clock_name = absolute(bag.namespace, topics.CLOCK.name)
         self._also = None
         if self._clock_name in self._sayers and self._clock_name != "/clock":
@@ -131,10 +150,13 @@ class PlayerNode(Node):  # type: ignore[misc]
             return
         self.seconds += passed * self._rate
         due = self._origin + int(self.seconds * 1e9)
+        if self._next is not None and (gap := self._next.ns - due) > LONGEST_GAP_S * 1e9:
+            self.get_logger().info(f"nothing for {gap * 1e-9:.0f} s: left out")
+            self._origin, due = self._origin + gap, due + gap
         most = self.played + MOST
         while self._next is not None and self._next.ns <= due and self.played < most:
             publisher = self._sayers.get(self._next.topic)
-            if publisher is not None:
+            if publisher is not None and self._next.kind == self._types[self._next.topic]:
                 publisher.publish(self._next.data)
                 self.played += 1
                 if self._also is not None and self._next.topic == self._clock_name:

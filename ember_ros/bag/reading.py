@@ -6,6 +6,7 @@ belongs to one tick is put together by what the messages say, not by the order t
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,8 +17,9 @@ import numpy as np
 
 from ember_ros import topics, wire
 from ember_ros.bag.card import Card, read_card
+from ember_ros.bag.files import Connection, Files, files_of
 from ember_ros.bag.recording import absolute, crc_of
-from ember_ros.bag.storage import METADATA, STORAGES, VERSION, needs_rosbags, read_metadata
+from ember_ros.bag.storage import METADATA, STORAGES, read_metadata
 from ember_ros.bag.window import LATE, Window
 from ember_ros.errors import BagError, EmberError, SignalError
 from ember_ros.params import Params
@@ -86,19 +88,15 @@ class Bag:
             BagError: it is missing, cut off, damaged, or of something else.
         """
         self.path = path
-        self._reader = _open(path)
+        self._files = _open(path)
         self.damages: list[Damage] = []
         """What the last pass of ``ticks`` found to be changed."""
         self.stale = 0
         """Messages of ticks that were over, in the last pass."""
         try:
-            self.connections = {c.topic: c for c in self._reader.connections}
-            for connection in self.connections.values():
-                if not isinstance(connection.msgcount, int):
-                    raise BagError(
-                        f"{path} is damaged: its {METADATA} counts {connection.msgcount!r} "
-                        f"messages of {connection.topic}"
-                    )
+            self.connections: dict[str, Connection] = {}
+            for connection in self._files.connections.values():
+                self.connections.setdefault(connection.topic, connection)
             self.namespace = self._choose(namespace)
             self.card, self.table = self._read_run()
             self.params = self.card.params if self.card else params or Params()
@@ -121,8 +119,7 @@ class Bag:
 
     def close(self) -> None:
         """Close the files; safe to call twice."""
-        if self._reader.is_open:
-            self._reader.close()
+        self._files.close()
 
     # -- what is in it -----------------------------------------------------------------------
 
@@ -182,7 +179,16 @@ class Bag:
                     f"{self.path} has no {name} ({topic.kind}); what a run needs is recorded whole "
                     "with `--bag` or the recorder_node"
                 )
-            if connection is not None and connection.msgtype != topic.kind:
+            if connection is None:
+                continue
+            # A topic may have messages of other types too, of somebody else's.
+            connection = self._files.connections.get((name, topic.kind), connection)
+            self.connections[name] = connection
+            if connection.encoding != "cdr":
+                raise BagError(
+                    f"{self.path}: {name} is written as {connection.encoding!r}; cdr would be right"
+                )
+            if connection.msgtype != topic.kind:
                 raise BagError(
                     f"{self.path}: {name} is of type {connection.msgtype}; {topic.kind} would be "
                     "right"
@@ -217,13 +223,9 @@ class Bag:
 
     def _one(self, topic: topics.Topic) -> bytes | None:
         """Return the first message of a topic."""
-        connection = self.connections.get(self._name(topic))
-        if connection is None or connection.msgtype != topic.kind:
-            return None
-        with _reading(self.path):
-            for _, _, data in self._reader.messages([connection]):
-                return bytes(data)
-        return None
+        with reading(self.path):
+            found = self._files.messages([(self._name(topic), topic.kind)])
+            return next((message.data for message in found), None)
 
     @property
     def table_sha256(self) -> str | None:
@@ -257,23 +259,26 @@ class Bag:
         return 0 if connection is None else int(connection.msgcount)
 
     def raw(self, start_ns: int = 0) -> Iterator[Raw]:
-        """Yield all messages of all topics from a time on, in the order of their times."""
-        with _reading(self.path):
-            found = self._reader.messages(
-                self._reader.connections, start=self._reader.start_time + start_ns
-            )
-            for connection, ns, data in found:
-                yield Raw(connection.topic, connection.msgtype, ns, bytes(data))
+        """Yield all messages of all topics from a time on, in the order of their times.
 
-    @property
-    def seconds(self) -> float:
-        """Return the time from the first message to the last."""
-        return float(self._reader.duration * 1e-9)
+        Args:
+            start_ns: time to leave out, from the first message on.
+        """
+        start = self.start_ns + start_ns if start_ns else None
+        with reading(self.path):
+            for ns, topic, kind, data in self._files.messages(start=start):
+                yield Raw(topic, kind, ns, data)
 
-    @property
+    @functools.cached_property
     def start_ns(self) -> int:
         """Return the time of the first message."""
-        return int(self._reader.start_time)
+        with reading(self.path):
+            return next((message.ns for message in self._files.messages()), 0)
+
+    @property
+    def files(self) -> list[Path]:
+        """Return the files that the bag is made of."""
+        return self._files.paths
 
     # -- tick by tick ------------------------------------------------------------------------
 
@@ -321,10 +326,10 @@ class Bag:
             yield from self._tick(tick, found, falls, seen)
 
     def _messages(self, names: list[str]) -> Iterator[tuple[str, int, bytes]]:
-        connections = [self.connections[name] for name in names if name in self.connections]
-        with _reading(self.path):
-            for connection, ns, data in self._reader.messages(connections):
-                yield connection.topic, ns, bytes(data)
+        keys = [self.connections[name][:2] for name in names if name in self.connections]
+        with reading(self.path):
+            for ns, topic, _, data in self._files.messages(keys):
+                yield topic, ns, data
 
     def _readers(self, seen: _Reading) -> dict[str, Callable[[bytes], tuple[int, Any]]]:
         """Return how each topic's messages are read: into a tick, or -1, and a value."""
@@ -426,50 +431,39 @@ class Bag:
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
+def reading(path: Path) -> Iterator[None]:
     """Turn whatever a damaged file makes its reader raise into a BagError."""
     try:
         yield
     except (EmberError, GeneratorExit, KeyboardInterrupt):
         raise
-    except Exception as error:  # rosbags, zstd, struct and sqlite raise nearly anything
+    except Exception as error:  # zstd, struct, yaml and sqlite raise nearly anything
+        why = " ".join(str(error).split()) or type(error).__name__
         raise BagError(
-            f"{path} is damaged: {error or type(error).__name__}; `ember bag repair {path}` keeps "
-            "what is whole"
+            f"{path} is damaged: {why}; `ember bag repair {path}` keeps what is whole"
         ) from error
 
 
-def _open(path: Path) -> Any:
-    """Return an open reader of rosbags.
+def _open(path: Path) -> Files:
+    """Return the open files of a bag.
 
     Raises:
         BagError: there is no bag that could be read; the message says why.
     """
-    try:
-        from rosbags.rosbag2 import Reader
-    except ModuleNotFoundError as error:
-        raise needs_rosbags(error) from error
     if not path.exists():
         raise BagError(f"there is no bag {path}; `ember walk --bag {path}` would make one")
     if path.is_dir():
         if not (path / METADATA).exists():
-            if any(file.suffix in STORAGES.values() for file in path.iterdir()):
+            if files_of(path):
                 raise BagError(
                     f"{path} has no {METADATA}: its recording was cut off; `ember bag repair "
                     f"{path}` brings it back"
                 )
             raise BagError(f"{path} is no bag: a folder with {METADATA} would be right")
-        version = read_metadata(path).get("version")
-        if not isinstance(version, int) or version > VERSION:
-            raise BagError(
-                f"{path} is a bag of version {version!r}; versions up to {VERSION} are known"
-            )
     elif path.suffix not in STORAGES.values():
         raise BagError(
             f"{path} is no bag; a folder with {METADATA}, or a file of "
             f"{' or '.join(STORAGES.values())}, would be right"
         )
-    with _reading(path):
-        reader = Reader(path)
-        reader.open()
-    return reader
+    with reading(path):
+        return Files(path)
