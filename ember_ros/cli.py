@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as Grid
 
 import ember_ros
-from ember_ros.bag.storage import STORAGES, BagOptions
+from ember_ros.bag.storage import BagOptions
 from ember_ros.cli_bags import COMMANDS, INTERRUPTED, PARAMS, console
 from ember_ros.errors import EmberError, ParameterError
 from ember_ros.experiments import lab, relearn
@@ -75,13 +75,6 @@ def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
                 type=click.FloatRange(0.0),
                 default=0.0,
                 help="Begin a new file of the bag after so many megabytes.",
-            ),
-            click.option(
-                "--storage",
-                type=click.Choice(list(STORAGES)),
-                default="mcap",
-                show_default=True,
-                help="Of the bag.",
             ),
             click.option(
                 "--bag",
@@ -178,7 +171,6 @@ def _run(
     way: str,
     force: bool,
     bag: Path | None,
-    storage: str,
     split_mb: float,
     split_s: float,
 ) -> None:
@@ -200,7 +192,7 @@ def _run(
             "replace it"
         )
     with stop_signals() as stop:
-        into = BagOptions(bag, storage, split_mb, split_s) if bag else None
+        into = BagOptions(bag, split_mb, split_s) if bag else None
         record, summary = _show(plan, way, out, stop, into)
         what = "trained" if world == "trainer" else "walked"
         drawn = _draw(out / PICTURE, plan, **{what: record})

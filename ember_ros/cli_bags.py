@@ -559,12 +559,20 @@ def bag_csv(bag: Path, namespace: str | None, out: Path) -> None:
 
 @bag_group.command("repair")
 @_BAG
-def bag_repair(bag: Path) -> None:
+@click.option("--drop-original", is_flag=True, help="Remove the damaged bag when that is done.")
+def bag_repair(bag: Path, drop_original: bool) -> None:
     """Bring back what is whole in a bag whose recording was cut off.
 
-    Every chunk that was finished is kept, and metadata.yaml is made anew. The files are replaced.
+    Every chunk that was finished is kept, and metadata.yaml is made anew. The damaged bag stays
+    beside the new one, as BAG.orig. A bag with which nothing is wrong is not touched.
     """
-    done = repair(bag)
+    done = repair(bag, drop=drop_original)
+    if done.healthy:
+        console.print(
+            f"Nothing is wrong with {bag}: {done.messages} messages, {done.seconds:.3f} s. Nothing "
+            "was touched."
+        )
+        return
     lines = [
         ("brought back", f"{done.messages} messages, {done.seconds:.3f} s"),
         ("whole chunks", done.chunks),
@@ -576,6 +584,8 @@ def bag_repair(bag: Path) -> None:
 
         ticks = opened.messages(topics.PHASE)
         lines.insert(1, ("ticks", f"{ticks} ({ticks / opened.params.gait.ticks:g} cycles)"))
+    if done.original is not None:
+        lines.append(("the damaged bag", f"{done.original.name}, beside it"))
     console.print(_grid(lines))
 
 

@@ -36,7 +36,6 @@ OPTIONS = {
     "table_patience": Option(0.4, "wall seconds a leg waits for the table, s"),
     "out": Option("", "folder for the record of the run; '' for none"),
     "bag": Option("", "folder of a new bag to record the run into; '' for none"),
-    "storage": Option("mcap", "what the bag is stored as", ("mcap", "sqlite3")),
     "split_mb": Option(0.0, "megabytes after which the bag begins a new file; 0: never"),
     "split_s": Option(0.0, "simulated seconds after which it does; 0: never"),
     "recorder": Option(False, "wait for a recorder node before the first tick"),

@@ -150,7 +150,7 @@ class JointWire:
 
     FIELDS = ("position", "velocity", "effort")
     MEANS: Mapping[str, str] = {
-        "position": "a leg knows its state by it",
+        "position": "what is known of a leg stands there",
         "velocity": "a speed is sensed or asked for, and nobody here makes one up",
         "effort": "it says a force or the largest torque, and none is not the same as 0",
     }

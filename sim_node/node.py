@@ -50,7 +50,7 @@ class SimNode(Node):  # type: ignore[misc]
     (sensor_msgs/JointState), ``falls`` (std_msgs/Int64), ``odometry`` (nav_msgs/Odometry),
     ``diagnostics`` (diagnostic_msgs/DiagnosticArray).
     Parameters: ``gait.*``, ``leg.*``, ``physics.*``, ``trainer.*``, ``walker.*``;
-    ``world``, ``mode``, ``gui``, ``cycles``, ``patience``, ``out``, ``seed``; ``bag``, ``storage``,
+    ``world``, ``mode``, ``gui``, ``cycles``, ``patience``, ``out``, ``seed``; ``bag``,
     ``split_mb``, ``split_s`` to record a bag; ``recorder`` to wait for a node that does.
     """
 
@@ -72,7 +72,7 @@ class SimNode(Node):  # type: ignore[misc]
             self,
             (
                 "world", "mode", "gui", "cycles", "patience", "out", "seed",
-                "bag", "storage", "split_mb", "split_s", "recorder",
+                "bag", "split_mb", "split_s", "recorder",
             ),
         )  # fmt: skip
         self.world = world or make_world(

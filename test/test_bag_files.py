@@ -34,7 +34,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from ember_ros import topics, wire
@@ -43,7 +44,7 @@ from ember_ros.bag import storage as storage_module
 from ember_ros.bag.card import Card
 from ember_ros.bag.reading import Bag
 from ember_ros.bag.recording import Recording, Told
-from ember_ros.bag.repair import DRAFT, Repaired, repair
+from ember_ros.bag.repair import Repaired, repair
 from ember_ros.bag.storage import METADATA, STORAGES, BagOptions, BagWriter, read_metadata, seal
 from ember_ros.errors import BagError
 from ember_ros.loop import Loop
@@ -70,8 +71,6 @@ INSTALL_S = 180.0
 """The same for npm and the network."""
 READERS = Path(__file__).parent / "readers"
 
-every_storage = pytest.mark.parametrize("storage", list(STORAGES))
-
 
 # -- what is used all over -----------------------------------------------------------------------
 
@@ -86,11 +85,9 @@ class Written(NamedTuple):
 
 
 @contextmanager
-def writing(
-    folder: Path, storage: str = "mcap", *, split_mb: float = 0.0, split_s: float = 0.0
-) -> Iterator[BagWriter]:
+def writing(folder: Path, *, split_mb: float = 0.0, split_s: float = 0.0) -> Iterator[BagWriter]:
     """Give a writer, and let go of its files if the test did not close it."""
-    writer = BagWriter(BagOptions(folder, storage, split_mb, split_s))
+    writer = BagWriter(BagOptions(folder, split_mb, split_s))
     try:
         yield writer
     finally:
@@ -176,7 +173,6 @@ def record(
     folder: Path,
     ticks: int,
     *observers: Observer,
-    storage: str = "mcap",
     split_mb: float = 0.0,
     split_s: float = 0.0,
     plan: Plan = PLAN,
@@ -184,12 +180,30 @@ def record(
 ) -> Path:
     """Record a run of the loop into a bag, finished or abandoned; return its folder."""
     table = start_table()
-    with writing(folder, storage, split_mb=split_mb, split_s=split_s) as writer:
+    with writing(folder, split_mb=split_mb, split_s=split_s) as writer:
         taking = Recording(writer, Card.of_plan(plan, table, VERSIONS), table)
         run_loop(ticks, taking, *observers, plan=plan)
         if finish:
             taking.finish()
             writer.close()
+    return folder
+
+
+def in_sqlite(folder: Path) -> Path:
+    """Make a bag one of SQLite, as another recorder would have left it."""
+    messages = written(folder)
+    shutil.rmtree(folder)
+    with RosbagsWriter(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connections: dict[str, Any] = {}
+        for topic, kind, ns, data in messages:
+            if topic not in connections:
+                text, rihs01 = storage_module.definition(kind)[:2]
+                connections[topic] = writer.add_connection(topic, kind, msgdef=text, rihs01=rihs01)
+            writer.write(connections[topic], ns, data)
+    (made,) = folder.glob("*.db3")
+    made.rename(folder / f"{folder.name}_0.db3")
+    text = (folder / METADATA).read_text()
+    (folder / METADATA).write_text(text.replace(made.name, f"{folder.name}_0.db3"))
     return folder
 
 
@@ -235,12 +249,9 @@ messages = st.builds(
 )
 
 
-@every_storage
 @settings(max_examples=20)
 @given(st.lists(st.lists(messages, max_size=6), max_size=5), st.sampled_from([0.0, 1e-4, 1.0]))
-def test_all_that_is_written_is_there(
-    storage: str, flushes: list[list[Written]], split_s: float
-) -> None:
+def test_all_that_is_written_is_there(flushes: list[list[Written]], split_s: float) -> None:
     """Whatever the bytes, the times and the flushes: the same messages in the same order.
 
     And ``metadata.yaml`` counts them, in all, by topic and by file, and says when they are.
@@ -248,7 +259,7 @@ def test_all_that_is_written_is_there(
     everything = [message for each in flushes for message in each]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "bag"
-        with writing(folder, storage, split_s=split_s) as writer:
+        with writing(folder, split_s=split_s) as writer:
             for each in flushes:
                 for message in each:
                     put(writer, message)
@@ -276,10 +287,9 @@ def test_all_that_is_written_is_there(
             assert said["duration"] == {"nanoseconds": max(times) - min(times)}
 
 
-@every_storage
-def test_the_metadata_is_that_of_jazzy(storage: str, tmp_path: Path) -> None:
+def test_the_metadata_is_that_of_jazzy(tmp_path: Path) -> None:
     """Version 9, and its words; the quality of service, the types and their hashes of topics."""
-    folder = record(tmp_path / "walk", FLUSH, storage=storage)
+    folder = record(tmp_path / "walk", FLUSH)
     content = yaml.safe_load((folder / METADATA).read_text(encoding="utf-8"))
     (metadata,) = content.values()
     assert list(content) == ["rosbag2_bagfile_information"]
@@ -289,8 +299,8 @@ def test_the_metadata_is_that_of_jazzy(storage: str, tmp_path: Path) -> None:
         "relative_file_paths", "files", "custom_data", "ros_distro",
     }  # fmt: skip
     assert metadata["version"] == 9
-    assert metadata["storage_identifier"] == storage
-    assert metadata["relative_file_paths"] == [f"walk_0{STORAGES[storage]}"]
+    assert metadata["storage_identifier"] == "mcap"
+    assert metadata["relative_file_paths"] == ["walk_0.mcap"]
     assert [each["path"] for each in metadata["files"]] == metadata["relative_file_paths"]
     assert metadata["compression_format"] == metadata["compression_mode"] == ""
     assert metadata["ros_distro"] == "jazzy"
@@ -356,23 +366,6 @@ def test_an_mcap_file_says_everything_itself(tmp_path: Path) -> None:
         assert list(reader.iter_metadata()) == []  # it would name the bag, which may be any
 
 
-def test_a_sqlite_file_says_everything_itself(tmp_path: Path) -> None:
-    """Schema 4, with the definitions and hashes of all types, and the metadata."""
-    folder = record(tmp_path / "walk", FLUSH, storage="sqlite3")
-    with closing(sqlite3.connect(files_of(folder)[0])) as database:
-        assert database.execute("SELECT schema_version FROM schema").fetchall() == [(4,)]
-        ((version, inside),) = database.execute("SELECT metadata_version, metadata FROM metadata")
-        assert (version, yaml.safe_load(inside)) == (9, read_metadata(folder))
-        kinds = {kind for (kind,) in database.execute("SELECT type FROM topics")}
-        defined = database.execute(
-            "SELECT topic_type, encoding, encoded_message_definition, type_description_hash "
-            "FROM message_definitions"
-        ).fetchall()
-        assert sorted(defined) == sorted(
-            (kind, "ros2msg", *storage_module.definition(kind)) for kind in kinds
-        )
-
-
 def test_the_same_messages_make_the_same_bytes(tmp_path: Path) -> None:
     """An MCAP bag of the same name is, file by file, what it was before; split or not."""
     for split_mb in (0.0, 0.02):
@@ -388,8 +381,7 @@ def test_the_same_messages_make_the_same_bytes(tmp_path: Path) -> None:
         assert one == other
 
 
-@every_storage
-def test_a_bag_is_never_written_over(storage: str, tmp_path: Path) -> None:
+def test_a_bag_is_never_written_over(tmp_path: Path) -> None:
     """Folder, file or link that is there already: refused, and left as it is."""
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_bytes(b"mine")
@@ -398,33 +390,22 @@ def test_a_bag_is_never_written_over(storage: str, tmp_path: Path) -> None:
     before = tree(tmp_path)
     for name in ("empty", "file", "link", "bag"):
         with pytest.raises(BagError, match=rf"{name} is there already, and a bag is never"):
-            BagWriter(BagOptions(tmp_path / name, storage))
+            BagWriter(BagOptions(tmp_path / name))
     assert tree(tmp_path) == before
     assert not (tmp_path / "nowhere").exists()
 
 
-@every_storage
-def test_a_folder_that_cannot_be_made_is_said(storage: str, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
     """Below a file there is no folder: a BagError that names it and says why."""
     (tmp_path / "file").write_bytes(b"mine")
     with same_descriptors(), pytest.raises(BagError, match=r"file/bag: Not a directory"):
-        BagWriter(BagOptions(tmp_path / "file" / "bag", storage))
+        BagWriter(BagOptions(tmp_path / "file" / "bag"))
 
 
-def test_an_unknown_storage_is_refused_before_anything_is_made(tmp_path: Path) -> None:
-    """The message says which there are."""
-    with pytest.raises(BagError, match="no storage 'rosbag'; it is mcap or sqlite3"):
-        BagWriter(BagOptions(tmp_path / "bag", "rosbag"))
-    assert list(tmp_path.iterdir()) == []
-
-
-@every_storage
-def test_an_unknown_message_type_is_refused_and_costs_nothing_else(
-    storage: str, tmp_path: Path
-) -> None:
+def test_an_unknown_message_type_is_refused_and_costs_nothing_else(tmp_path: Path) -> None:
     """A BagError names it; what is written before and after is in a bag that closes well."""
     folder, says = tmp_path / "bag", "type robot_msgs/msg/Leg is none of those that Jazzy"
-    with writing(folder, storage) as writer:
+    with writing(folder) as writer:
         put(writer, text(0))
         for _ in range(2):
             with pytest.raises(BagError, match=says):
@@ -448,15 +429,14 @@ def alone(file: Path) -> list[Written]:
         ]
 
 
-@every_storage
-def test_splitting_by_size(storage: str, tmp_path: Path) -> None:
+def test_splitting_by_size(tmp_path: Path) -> None:
     """A new file begins at the flush at which the old one has reached its megabytes.
 
     Each file can be read by itself; together they are all, in order, and so is the bag.
     """
     folder, every = tmp_path / "bag", [text(n) for n in range(200)]
     sizes = []
-    with writing(folder, storage, split_mb=0.1) as writer:
+    with writing(folder, split_mb=0.1) as writer:
         for n, message in enumerate(every):
             put(writer, message)
             if n % 5 == 4:
@@ -464,9 +444,7 @@ def test_splitting_by_size(storage: str, tmp_path: Path) -> None:
                 sizes.append(files_of(folder)[0].stat().st_size)
         writer.close()
     files = files_of(folder)
-    assert [file.name for file in files] == [
-        f"bag_{n}{STORAGES[storage]}" for n in range(len(files))
-    ]
+    assert [file.name for file in files] == [f"bag_{n}.mcap" for n in range(len(files))]
     assert len(files) > 2
     assert all(file.stat().st_size >= 100_000 for file in files[:-1])
     assert max(size for size in sizes if size < 100_000) > 80_000  # not split long before
@@ -474,14 +452,13 @@ def test_splitting_by_size(storage: str, tmp_path: Path) -> None:
     assert alone(folder) == every
 
 
-@every_storage
-def test_splitting_by_time(storage: str, tmp_path: Path) -> None:
+def test_splitting_by_time(tmp_path: Path) -> None:
     """A new file begins at the flush at which the old one spans its seconds of simulated time.
 
     A bag in many files is read as the same run.
     """
-    folder = record(tmp_path / "bag", 100, storage=storage, split_s=0.5)
-    whole = record(tmp_path / "whole", 100, storage=storage)
+    folder = record(tmp_path / "bag", 100, split_s=0.5)
+    whole = record(tmp_path / "whole", 100)
     files, told = files_of(folder), read_metadata(folder)["files"]
     assert len(files) > 2
     for each in told[:-1]:
@@ -496,14 +473,11 @@ def test_splitting_by_time(storage: str, tmp_path: Path) -> None:
         assert one.damages == other.damages == []
 
 
-@every_storage
 @pytest.mark.parametrize("split", [{"split_s": 1.0}, {"split_mb": 0.05}], ids=["time", "size"])
-def test_no_file_is_begun_for_nothing(
-    storage: str, split: dict[str, float], tmp_path: Path
-) -> None:
+def test_no_file_is_begun_for_nothing(split: dict[str, float], tmp_path: Path) -> None:
     """A bag that ends, or is flushed again, just when it was to be split has no empty file."""
     folder = tmp_path / "bag"
-    with writing(folder, storage, **split) as writer:
+    with writing(folder, **split) as writer:
         put(writer, text(0))
         put(writer, text(1, 100_000)._replace(ns=2_000_000_000))
         for _ in range(3):
@@ -516,11 +490,10 @@ def test_no_file_is_begun_for_nothing(
 # -- the end of writing --------------------------------------------------------------------------
 
 
-@every_storage
-def test_closing_twice_is_once(storage: str, tmp_path: Path) -> None:
+def test_closing_twice_is_once(tmp_path: Path) -> None:
     """The second time changes nothing, nor does abandoning; writing on is refused."""
     folder = tmp_path / "bag"
-    with same_descriptors(), writing(folder, storage) as writer:
+    with same_descriptors(), writing(folder) as writer:
         channel = writer.channel("/said", STRING)
         writer.write(channel, 1, wire.pack_text("once"))
         writer.close({"fact": "kept"})
@@ -534,15 +507,14 @@ def test_closing_twice_is_once(storage: str, tmp_path: Path) -> None:
         with pytest.raises(BagError, match=r"bag is closed"):
             writer.channel("/new", STRING)
         assert tree(folder) == before
-    assert set(before) == {METADATA, f"bag_0{STORAGES[storage]}"}  # no journal, no draft
+    assert set(before) == {METADATA, "bag_0.mcap"}  # no journal, no draft
     assert read_metadata(folder)["custom_data"] == {"fact": "kept"}
 
 
-@every_storage
-def test_an_abandoned_bag_is_cut_off_at_its_last_flush(storage: str, tmp_path: Path) -> None:
+def test_an_abandoned_bag_is_cut_off_at_its_last_flush(tmp_path: Path) -> None:
     """It has no metadata, says how to repair it, and has after that what was flushed."""
     folder = tmp_path / "bag"
-    with same_descriptors(), writing(folder, storage) as writer:
+    with same_descriptors(), writing(folder) as writer:
         for n in range(20):
             put(writer, text(n))
             if n == 11:
@@ -558,11 +530,10 @@ def test_an_abandoned_bag_is_cut_off_at_its_last_flush(storage: str, tmp_path: P
     assert written(folder) == [text(n) for n in range(12)]
 
 
-@every_storage
-def test_a_bag_without_messages(storage: str, tmp_path: Path) -> None:
+def test_a_bag_without_messages(tmp_path: Path) -> None:
     """It is a whole bag; there is just nothing in it."""
     folder = tmp_path / "bag"
-    with writing(folder, storage) as writer:
+    with writing(folder) as writer:
         writer.flush()
         writer.close()
     with Reader(folder) as reader:
@@ -571,11 +542,10 @@ def test_a_bag_without_messages(storage: str, tmp_path: Path) -> None:
         Bag(folder)
 
 
-@every_storage
-def test_sealing_adds_what_was_known_later(storage: str, tmp_path: Path) -> None:
+def test_sealing_adds_what_was_known_later(tmp_path: Path) -> None:
     """Facts are added to those that are there; nothing else changes."""
     folder = tmp_path / "bag"
-    with writing(folder, storage) as writer:
+    with writing(folder) as writer:
         put(writer, text(0))
         writer.close({"a": "1", "b": "2"})
     metadata, files = read_metadata(folder), tree(folder)
@@ -616,11 +586,10 @@ def test_sealing_on_a_full_disk(tmp_path: Path) -> None:
     assert sorted(file.name for file in folder.iterdir()) == sorted(before)
 
 
-@every_storage
-def test_a_disk_that_has_no_room_for_the_metadata(storage: str, tmp_path: Path) -> None:
+def test_a_disk_that_has_no_room_for_the_metadata(tmp_path: Path) -> None:
     """The last thing that is written can fail too: a BagError, and repair makes it anew."""
     folder = tmp_path / "bag"
-    with same_descriptors(), writing(folder, storage) as writer:
+    with same_descriptors(), writing(folder) as writer:
         put(writer, text(0))
         (folder / f".{METADATA}").symlink_to("/dev/full")
         with pytest.raises(BagError, match="No space left") as error:
@@ -630,7 +599,7 @@ def test_a_disk_that_has_no_room_for_the_metadata(storage: str, tmp_path: Path) 
         Bag(folder)
     assert repair(folder).messages == 1
     assert written(folder) == [text(0)]
-    assert sorted(file.name for file in folder.iterdir()) == [f"bag_0{STORAGES[storage]}", METADATA]
+    assert sorted(file.name for file in folder.iterdir()) == ["bag_0.mcap", METADATA]
 
 
 # -- full disks ----------------------------------------------------------------------------------
@@ -643,7 +612,7 @@ from ember_ros.bag.storage import BagOptions, BagWriter
 from ember_ros.errors import BagError
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-folder, storage, when, room, texts = json.load(sys.stdin)
+folder, when, room, texts = json.load(sys.stdin)
 hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
 
 def full(bytes):
@@ -651,9 +620,7 @@ def full(bytes):
 
 said = []
 try:
-    if when == "open":
-        full(room)
-    writer = BagWriter(BagOptions(Path(folder), storage))
+    writer = BagWriter(BagOptions(Path(folder)))
     for n, (topic, kind, ns, data) in enumerate(texts):
         writer.write(writer.channel(topic, kind), ns, bytes.fromhex(data))
         if n % 10 == 9:
@@ -673,14 +640,13 @@ try:
         writer.flush()
 except BagError as error:
     said.append(str(error))
-if when != "open":
-    try:
-        writer.write(0, ns, bytes.fromhex(data))
-    except BagError as error:
-        said.append(str(error))
-    writer.flush()
-    writer.close()
-    writer.abandon()
+try:
+    writer.write(0, ns, bytes.fromhex(data))
+except BagError as error:
+    said.append(str(error))
+writer.flush()
+writer.close()
+writer.abandon()
 json.dump(said, sys.stdout)
 """
 
@@ -700,20 +666,15 @@ def child(script: str, *given: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("storage", "when", "room"),
+    ("when", "room"),
     [
-        ("mcap", "flush", 1000),
-        ("mcap", "flush", 0),
-        ("mcap", "split", 300),
-        ("mcap", "close", 0),
-        ("sqlite3", "write", 5000),
-        ("sqlite3", "flush", 9000),
-        ("sqlite3", "close", 0),
+        ("flush", 1000),
+        ("flush", 0),
+        ("split", 300),
+        ("close", 0),
     ],
 )
-def test_a_full_disk_costs_what_was_not_flushed(
-    storage: str, when: str, room: int, tmp_path: Path
-) -> None:
+def test_a_full_disk_costs_what_was_not_flushed(when: str, room: int, tmp_path: Path) -> None:
     """A BagError names the bag, why, and what to do; then repair brings back all that was flushed.
 
     Whether the disk is full at a write, a flush, a split or at the end; torn bytes are let go of.
@@ -721,7 +682,7 @@ def test_a_full_disk_costs_what_was_not_flushed(
     """
     folder, every = tmp_path / "bag", [text(n) for n in range(40)]
     given = [[*message[:3], message.data.hex()] for message in every]
-    *before, told, refused = child(FULL, str(folder), storage, when, room, given)
+    *before, told, refused = child(FULL, str(folder), when, room, given)
     assert before == (["written"] if when == "flush" else [])
     assert told.startswith(f"cannot write the bag {folder}: ")
     assert f"`ember bag repair {folder}` brings back what is in it" in told
@@ -730,18 +691,11 @@ def test_a_full_disk_costs_what_was_not_flushed(
         Bag(folder)
     done = repair(folder)
     assert written(folder)[:40] == every
-    if (storage, when) == ("mcap", "split"):  # its chunk may be whole or not
+    if when == "split":  # its chunk may be whole or not
         assert done.messages in (40, 41)
     else:
         assert (done.messages, done.damaged) == (40, 0)
-        assert done.torn_bytes == (room if when == "flush" and storage == "mcap" else 0)
-
-
-def test_a_disk_that_is_full_from_the_beginning(tmp_path: Path) -> None:
-    """Not even an empty database fits: a BagError, not a traceback of SQLite."""
-    folder = tmp_path / "bag"
-    (told,) = child(FULL, str(folder), "sqlite3", "open", 0, [])
-    assert told.startswith(f"cannot write the bag {folder}: ")
+        assert done.torn_bytes == (room if when == "flush" else 0)
 
 
 REPAIR = """
@@ -762,14 +716,11 @@ json.dump(done, sys.stdout)
 """
 
 
-@every_storage
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_a_disk_that_is_full_while_repairing_costs_nothing(
-    storage: str, share: float, tmp_path: Path
-) -> None:
+def test_a_disk_that_is_full_while_repairing_costs_nothing(share: float, tmp_path: Path) -> None:
     """The repair fails as a BagError about this bag; the bag is as it was, and can be repaired."""
     folder, every = tmp_path / "bag", [text(n) for n in range(60)]
-    with writing(folder, storage) as writer:
+    with writing(folder) as writer:
         for n, message in enumerate(every):
             put(writer, message)
             if n % 10 == 9:
@@ -780,7 +731,7 @@ def test_a_disk_that_is_full_while_repairing_costs_nothing(
     assert sorted(file.name for file in folder.iterdir()) == sorted(before)
     assert told.startswith("cannot ")
     assert str(folder) in told
-    assert DRAFT not in told  # that folder is gone: nobody can do anything with it
+    assert ".repair" not in told  # that folder is gone: nobody can do anything with it
     assert repair(folder).messages == 60
     assert written(folder) == every
 
@@ -810,9 +761,8 @@ def expected_order(heard: Heard, legs: Sequence[str] = LEGS) -> list[tuple[str, 
     return found
 
 
-@every_storage
 @pytest.mark.parametrize("world", ["walker", "trainer"])
-def test_a_recording_is_every_tick_in_one_order(storage: str, world: str, tmp_path: Path) -> None:
+def test_a_recording_is_every_tick_in_one_order(world: str, tmp_path: Path) -> None:
     """Each topic's message for each leg and tick, once, at exactly its tick's time.
 
     In the order of a tick; falls only when there are more; a CRC message after each flush of ticks
@@ -820,7 +770,7 @@ def test_a_recording_is_every_tick_in_one_order(storage: str, world: str, tmp_pa
     """
     heard, plan = Heard(), Plan(world, 1, seed=3)
     ticks = 3 * FLUSH + 5
-    folder = record(tmp_path / "bag", ticks, heard, storage=storage, plan=plan)
+    folder = record(tmp_path / "bag", ticks, heard, plan=plan)
     found = written(folder)
     assert [(message.topic, message.ns) for message in found] == [
         (topic, tick * TICK_NS) for topic, tick in expected_order(heard, plan.legs)
@@ -943,11 +893,10 @@ def test_card_and_table_come_back(run_of_64: tuple[Path, Heard]) -> None:
     assert sizes == [table.states, table.actions]
 
 
-@every_storage
-def test_a_table_that_nobody_knew_is_not_made_up(storage: str, tmp_path: Path) -> None:
+def test_a_table_that_nobody_knew_is_not_made_up(tmp_path: Path) -> None:
     """Without a table the bag has none, and neither topic has a message."""
     card = Card.of_plan(PLAN, start_table(), VERSIONS).without_table()
-    with writing(tmp_path / "bag", storage) as writer:
+    with writing(tmp_path / "bag") as writer:
         taking = Recording(writer, card, None)
         run_loop(3, taking)
         taking.finish()
@@ -1103,13 +1052,13 @@ from ember_ros.plan import Plan
 from leg_node.table import empty_table
 from sim_node.fake import FakeWorld
 
-folder, storage, versions, falls_at = eval(sys.argv[1])
+folder, versions, falls_at = eval(sys.argv[1])
 plan, table, rng = Plan("walker", 1, seed=3), empty_table(Params()), np.random.default_rng(7)
 table.values[:] = rng.normal(size=len(table.values))
 table.visits[:] = rng.integers(0, 1000, len(table.visits))
 loop = Loop(plan, FakeWorld(plan.legs, Params(), falls_at=falls_at))
 recording = Recording(
-    BagWriter(BagOptions(Path(folder), storage)), Card.of_plan(plan, table, versions), table
+    BagWriter(BagOptions(Path(folder))), Card.of_plan(plan, table, versions), table
 )
 while True:
     loop.tick(recording)
@@ -1118,9 +1067,9 @@ while True:
 """
 
 
-def killed_at(folder: Path, storage: str, ticks: int) -> int:
+def killed_at(folder: Path, ticks: int) -> int:
     """Record until so many ticks are flushed, then kill -9; return how many were said to be."""
-    given = repr((str(folder), storage, VERSIONS, FALLS_AT))
+    given = repr((str(folder), VERSIONS, FALLS_AT))
     process = subprocess.Popen(
         [sys.executable, "-W", "error", "-c", ENDLESS, given],
         stdin=subprocess.DEVNULL,
@@ -1150,18 +1099,15 @@ def last(said: bytes) -> int:
     return int(lines[-1]) if lines else 0
 
 
-@pytest.mark.parametrize(
-    ("storage", "ticks"),
-    [*(("mcap", n) for n in (16, 80, 160, 304, 480)), ("sqlite3", 16), ("sqlite3", 208)],
-)
-def test_a_kill_costs_what_was_not_flushed(storage: str, ticks: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("ticks", [16, 80, 160, 304, 480])
+def test_a_kill_costs_what_was_not_flushed(ticks: int, tmp_path: Path) -> None:
     """Killed with -9 at any time: after a repair all flushed ticks are there, each whole.
 
     Every byte is as in a recording that nobody disturbed, and the CRCs hold. Before, the bag says
     how to repair it.
     """
     folder = tmp_path / "killed"
-    flushed = killed_at(folder, storage, ticks)
+    flushed = killed_at(folder, ticks)
     assert flushed >= ticks
     with pytest.raises(BagError, match=rf"cut off; `ember bag repair {folder}` brings it back"):
         Bag(folder)
@@ -1172,7 +1118,7 @@ def test_a_kill_costs_what_was_not_flushed(storage: str, ticks: int, tmp_path: P
     assert len(found) >= flushed
     assert [tick.tick for tick in found] == list(range(len(found)))
     heard = Heard()
-    whole = record(tmp_path / "whole", len(found), heard, storage=storage)
+    whole = record(tmp_path / "whole", len(found), heard)
     assert written(folder) == written(whole)
     assert [tick.senses for tick in found] == heard.senses
     assert [tick.commands for tick in found] == heard.commands
@@ -1181,7 +1127,7 @@ def test_a_kill_costs_what_was_not_flushed(storage: str, ticks: int, tmp_path: P
     assert done.damaged == 0
     assert done.seconds == pytest.approx((len(found) - 1) * TICK_NS * 1e-9)
     assert sorted(file.name for file in folder.iterdir()) == [
-        f"killed_0{STORAGES[storage]}", METADATA
+        "killed_0.mcap", METADATA
     ]  # fmt: skip
 
 
@@ -1283,7 +1229,10 @@ def cut(whole: Whole, offset: int, *, metadata: bool) -> None:
         assert written(folder) == left
         ends = [each.end for each in records_in(whole.data[:offset])]
         behind = 0 if offset == len(whole.data) else offset - ends[-1]
-        assert done == Repaired(len(left), done.seconds, kept, 0, behind)
+        if metadata and offset == len(whole.data):
+            assert done.healthy
+            return
+        assert done == Repaired(len(left), done.seconds, kept, 0, behind, done.original)
         assert done.seconds == pytest.approx(max(m.ns for m in left) * 1e-9)
         told = read_metadata(folder)
         assert told["message_count"] == len(left)
@@ -1316,15 +1265,20 @@ def test_a_bag_cut_off_before_anything_is_whole(whole: Whole, offset: int) -> No
 
 
 def test_repairing_a_whole_bag_changes_nothing(whole: Whole) -> None:
-    """Not a byte; nothing is damaged and nothing is torn."""
-    for metadata in (True, False):
-        with bag_of(whole, whole.data, metadata=metadata) as folder:
-            done = repair(folder)
-            assert done == Repaired(
-                len(whole.messages), done.seconds, len(whole.chunks), damaged=0, torn_bytes=0
-            )
-            assert tree(folder) == {whole.name: whole.data, METADATA: whole.metadata}
-            assert repair(folder) == done
+    """Not a byte; nothing is damaged and nothing is torn. Without metadata these are made anew."""
+    with bag_of(whole, whole.data, metadata=False) as folder:
+        done = repair(folder)
+        assert done == Repaired(
+            len(whole.messages), done.seconds, len(whole.chunks), 0, 0, done.original
+        )
+        assert tree(folder) == {whole.name: whole.data, METADATA: whole.metadata}
+        assert done.original is not None
+        assert tree(done.original) == {whole.name: whole.data}
+        before = {file: file.stat().st_mtime_ns for file in (folder, *folder.iterdir())}
+        again = repair(folder)
+        assert again == Repaired(len(whole.messages), done.seconds, 0, 0, 0, healthy=True)
+        assert {file: file.stat().st_mtime_ns for file in before} == before
+        assert tree(folder) == {whole.name: whole.data, METADATA: whole.metadata}
 
 
 def flipped(data: bytes, at: int, bit: int = 0) -> bytes:
@@ -1391,7 +1345,7 @@ def test_whatever_bit_turns_nothing_is_made_up(whole: Whole, share: float, bit: 
 @pytest.mark.parametrize("share", [0.001, 0.5, 0.999])
 def test_a_database_that_was_cut_off(share: float, tmp_path: Path) -> None:
     """What is no whole database is left as it is, with a BagError; or what comes back was in it."""
-    folder = record(tmp_path / "bag", 32, storage="sqlite3")
+    folder = in_sqlite(record(tmp_path / "bag", 32))
     everything, (file,) = written(folder), files_of(folder)
     os.truncate(file, int(share * file.stat().st_size))
     before = tree(folder)
@@ -1399,7 +1353,7 @@ def test_a_database_that_was_cut_off(share: float, tmp_path: Path) -> None:
         done = repair(folder)
     except BagError:
         assert tree(folder) == before
-        assert not (folder / DRAFT).exists()
+        assert list(folder.parent.iterdir()) == [folder]
     else:
         assert done.messages == len(written(folder))
         assert is_part(written(folder), everything)
@@ -1419,7 +1373,7 @@ def test_a_database_that_was_cut_off(share: float, tmp_path: Path) -> None:
 )
 def test_a_database_with_nonsense_in_it(damage: str, tmp_path: Path) -> None:
     """A message of no topic, a time that is none: a BagError names the bag, which is left alone."""
-    folder = record(tmp_path / "bag", 16, storage="sqlite3")
+    folder = in_sqlite(record(tmp_path / "bag", 16))
     (file,) = files_of(folder)
     with closing(sqlite3.connect(file)) as database:
         database.execute(damage)
@@ -1427,54 +1381,57 @@ def test_a_database_with_nonsense_in_it(damage: str, tmp_path: Path) -> None:
     refuses(folder, re.escape(str(folder)))
 
 
-@every_storage
-def test_a_bag_cut_off_before_its_first_flush(storage: str, tmp_path: Path) -> None:
+def test_a_bag_cut_off_before_its_first_flush(tmp_path: Path) -> None:
     """There is nothing to bring back, which is said; what there is stays."""
     folder = tmp_path / "bag"
-    with writing(folder, storage) as writer:
+    with writing(folder) as writer:
         put(writer, text(0))
     refuses(folder, rf"nothing in {folder} is whole")
 
 
-def test_a_journal_of_the_old_database_is_cleared_away(tmp_path: Path) -> None:
-    """SQLite leaves one that a kill caught before it was begun; it is none of the new database."""
-    folder = record(tmp_path / "bag", 16, storage="sqlite3", finish=False)
-    (file,) = files_of(folder)
+@pytest.mark.parametrize("metadata", [True, False])
+def test_a_database_with_a_journal_was_not_closed(metadata: bool, tmp_path: Path) -> None:
+    """It is refused, and comes back as MCAP; the old one lies beside, to the byte."""
+    folder = in_sqlite(record(tmp_path / "bag", 16))
+    everything, (file,) = written(folder), files_of(folder)
     Path(f"{file}-journal").write_bytes(bytes(512))
-    everything = written(record(tmp_path / "whole", 16, storage="sqlite3"))
-    repair(folder)
-    assert sorted(each.name for each in folder.iterdir()) == [file.name, METADATA]
+    if not metadata:
+        (folder / METADATA).unlink()
+    before = tree(folder)
+    with pytest.raises(BagError, match="ember bag repair"):
+        Bag(folder)
+    done = repair(folder)
+    assert sorted(each.name for each in folder.iterdir()) == ["bag_0.mcap", METADATA]
     assert written(folder) == everything
+    assert done.original == tmp_path / "bag.orig"
+    assert tree(done.original) == before
 
 
-@every_storage
 @pytest.mark.parametrize("ticks", [70, 100, 130])
-def test_a_split_bag_that_was_cut_off(storage: str, ticks: int, tmp_path: Path) -> None:
+def test_a_split_bag_that_was_cut_off(ticks: int, tmp_path: Path) -> None:
     """The last file is torn, or has nothing in it yet: the run goes on over all files.
 
     Finished files of MCAP are kept to the byte.
     """
-    folder = record(tmp_path / "bag", ticks, storage=storage, split_s=0.5, finish=False)
+    folder = record(tmp_path / "bag", ticks, split_s=0.5, finish=False)
     *finished, _ = files_of(folder)
     before = tree(folder)
     assert len(finished) == ticks // 48
     repair(folder)
     flushed = ticks // FLUSH * FLUSH
-    whole = record(tmp_path / "whole", flushed, storage=storage)
+    whole = record(tmp_path / "whole", flushed)
     assert written(folder) == written(whole)
     assert set(tree(folder)) <= {*before, METADATA}
-    if storage == "mcap":
-        after = tree(folder)
-        for file in finished:
-            assert after[file.name] == before[file.name]
+    after = tree(folder)
+    for file in finished:
+        assert after[file.name] == before[file.name]
     with Bag(folder) as bag:
         assert [tick.tick for tick in bag.ticks()] == list(range(flushed))
 
 
-@every_storage
-def test_a_split_bag_with_a_file_missing(storage: str, tmp_path: Path) -> None:
+def test_a_split_bag_with_a_file_missing(tmp_path: Path) -> None:
     """The other files are kept, and are files of a bag again, none of the old ones beside them."""
-    folder = record(tmp_path / "bag", 100, storage=storage, split_s=0.5)
+    folder = record(tmp_path / "bag", 100, split_s=0.5)
     first, gone, third = files_of(folder)
     left = [*in_file(first), *in_file(third)]
     gone.unlink()
@@ -1514,7 +1471,7 @@ def test_repairing_files_that_only_look_like_a_bag(
 
 
 def test_repairing_the_bag_of_another_recorder(tmp_path: Path) -> None:
-    """Types that Jazzy does not come with cannot be written anew: said, and nothing is lost."""
+    """Types that Jazzy does not come with are kept, with the definition that is in the file."""
     folder = tmp_path / "bag"
     folder.mkdir()
     with (folder / "bag_0.mcap").open("wb") as out:
@@ -1526,7 +1483,17 @@ def test_repairing_the_bag_of_another_recorder(tmp_path: Path) -> None:
             for n in range(3):
                 writer.add_message(channel, n, wire.pack_text(str(n)), n)
             writer.flush()
-    refuses(folder, "robot_msgs/msg/Leg is none of those that Jazzy comes with")
+    assert repair(folder).messages == 6
+    with (folder / "bag_0.mcap").open("rb") as raw:
+        reader: Any = mcap.reader.make_reader(raw, validate_crcs=True)
+        found = [
+            (s.name, s.encoding, s.data, c.topic, m.data) for s, c, m in reader.iter_messages()
+        ]
+    assert sorted(found) == sorted(
+        (kind, "ros2msg", b"string data", f"/{kind[:5]}", wire.pack_text(str(n)))
+        for kind in (STRING, "robot_msgs/msg/Leg")
+        for n in range(3)
+    )
 
 
 def test_a_repair_that_cannot_put_its_files_in_place(
@@ -1534,15 +1501,15 @@ def test_a_repair_that_cannot_put_its_files_in_place(
 ) -> None:
     """Should even the last step fail, the bag that was there is still there."""
     with bag_of(whole, whole.data[: whole.chunks[3].end], metadata=False) as folder:
-        replace = os.replace
+        rename = os.rename
 
         def refuse(source: Path, target: Path) -> None:
-            if Path(target).parent == folder:
+            if Path(target) == folder and Path(source).parent != folder.parent:
                 raise PermissionError(1, "Operation not permitted")
-            replace(source, target)
+            rename(source, target)
 
         with monkeypatch.context() as patch:
-            patch.setattr(os, "replace", refuse)
+            patch.setattr(os, "rename", refuse)
             refuses(folder, rf"cannot repair {folder}: Operation not permitted")
         assert repair(folder).chunks == 4
 
@@ -1755,12 +1722,6 @@ def test_a_reader_in_javascript_agrees(
     folder = tmp_path / "bag"
     bag_for_readers(folder, state)
     assert by_javascript(folder) == by_rosbags(folder)
-
-
-def test_both_storages_hold_the_same(tmp_path: Path) -> None:
-    """Read by rosbags, a bag in SQLite is the bag in MCAP."""
-    bags = [by_rosbags(record(tmp_path / name, 40, storage=name)) for name in STORAGES]
-    assert bags[0] == bags[1]
 
 
 def test_repairing_a_whole_bag_keeps_what_is_known_of_its_end(tmp_path: Path) -> None:

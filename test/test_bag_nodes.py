@@ -413,7 +413,7 @@ def test_nobody_is_there_and_the_bag_is_empty_and_whole(ros: Ros, tmp_path: Path
 
 
 def test_a_recorder_must_be_told_where_to(ros: Ros, tmp_path: Path) -> None:
-    """No ``bag``, an unknown parameter, a storage that is none, a bag that is there already."""
+    """No ``bag``, an unknown parameter, a bag that is there already."""
     (tmp_path / "there").mkdir()
 
     def make(**parameters: Any) -> None:
@@ -423,8 +423,6 @@ def test_a_recorder_must_be_told_where_to(ros: Ros, tmp_path: Path) -> None:
         make()
     with pytest.raises(ParameterError, match="no parameter 'bags'"):
         make(bag=str(tmp_path / "bag"), bags="x")
-    with pytest.raises(ParameterError, match=r"storage = 'tape' must be one of"):
-        make(bag=str(tmp_path / "bag"), storage="tape")
     with pytest.raises(BagError, match="is there already"):
         make(bag=str(tmp_path / "there"))
     assert [path.name for path in tmp_path.iterdir()] == ["there"]

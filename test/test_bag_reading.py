@@ -142,7 +142,7 @@ def record(
         Listener(),
         Recorder(params, plan.legs, bag.with_name(f"{bag.name}-beside")),
     )
-    into = writer or BagWriter(BagOptions(bag, storage, split_s=split_s))
+    into = writer or BagWriter(BagOptions(bag, split_s=split_s))
     try:
         table = loop.shared.table
         card = Card.of_plan(plan, table, {"ember_ros": "test"})
@@ -157,13 +157,33 @@ def record(
         if writer is None:
             into.abandon()
         loop.close()
+    if storage == "sqlite3":
+        in_sqlite(bag)
     rows = load_record(bag.with_name(f"{bag.name}-beside")).rows
     return Run(bag, listener.heard, plan, rows)
 
 
+def in_sqlite(bag: Path) -> Path:
+    """Make a bag of MCAP files one of SQLite files, one for one, as `ros2 bag convert` does."""
+    for file in sorted(bag.glob("*.mcap")):
+        rewritten = write_as_others_do(bag / "new", raws_of(file), "sqlite3", run=True)
+        (made,) = rewritten.glob("*.db3")
+        made.rename(file.with_suffix(".db3"))
+        shutil.rmtree(rewritten)
+        file.unlink()
+    content = yaml.safe_load((bag / METADATA).read_text())
+    told = content[INFORMATION]
+    told["storage_identifier"] = "sqlite3"
+    told["relative_file_paths"] = [
+        str(Path(name).with_suffix(".db3")) for name in told["relative_file_paths"]
+    ]
+    (bag / METADATA).write_text(yaml.safe_dump(content))
+    return bag
+
+
 def write(bag: Path, raws: Iterable[Raw], storage: str = "mcap") -> Path:
     """Write messages as they are, into a bag of ours."""
-    writer = BagWriter(BagOptions(bag, storage))
+    writer = BagWriter(BagOptions(bag))
     try:
         for n, raw in enumerate(raws):
             writer.write(writer.channel(raw.topic, raw.kind), raw.ns, raw.data)
@@ -172,10 +192,12 @@ def write(bag: Path, raws: Iterable[Raw], storage: str = "mcap") -> Path:
         writer.close()
     finally:
         writer.abandon()
-    return bag
+    return in_sqlite(bag) if storage == "sqlite3" else bag
 
 
-def write_as_others_do(bag: Path, raws: Iterable[Raw], storage: str = "mcap") -> Path:
+def write_as_others_do(
+    bag: Path, raws: Iterable[Raw], storage: str = "mcap", *, run: bool = False
+) -> Path:
     """Write messages with another library's writer, as any recorder would: no card, no CRC."""
     from rosbags.rosbag2 import StoragePlugin, Writer
 
@@ -183,10 +205,10 @@ def write_as_others_do(bag: Path, raws: Iterable[Raw], storage: str = "mcap") ->
     with Writer(bag, version=9, storage_plugin=plugin) as writer:
         connections: dict[str, Any] = {}
         for raw in raws:
-            if "/run/" in raw.topic:
+            if "/run/" in raw.topic and not run:
                 continue
             if raw.topic not in connections:
-                text, rihs01 = definition(raw.kind)
+                text, rihs01 = definition(raw.kind)[:2]
                 connections[raw.topic] = writer.add_connection(
                     raw.topic, raw.kind, msgdef=text, rihs01=rihs01
                 )

@@ -24,7 +24,7 @@ from ember_ros.bag import look
 from ember_ros.bag.card import Card
 from ember_ros.bag.reading import Bag, Raw
 from ember_ros.bag.recording import Recording
-from ember_ros.bag.storage import INFORMATION, METADATA, STORAGES, BagOptions, BagWriter, seal
+from ember_ros.bag.storage import INFORMATION, METADATA, BagOptions, BagWriter, seal
 from ember_ros.cli import main
 from ember_ros.loop import Loop
 from ember_ros.params import Params, as_dict, params_sha256, replace
@@ -113,7 +113,6 @@ def record(
     cycles: int = CYCLES,
     namespace: str = "",
     seed: int = 3,
-    storage: str = "mcap",
     world: str = "walker",
     params: Params = PARAMS,
     table: Path | None = None,
@@ -122,7 +121,7 @@ def record(
     """Record a run of the fake world; into an open bag if a writer is given."""
     plan = Plan(world, cycles, seed=seed, params=params, table=table)
     loop = Loop(plan, FakeWorld(plan.legs, params, falls_at=[20, 50]))
-    into = writer or BagWriter(BagOptions(bag, storage))
+    into = writer or BagWriter(BagOptions(bag))
     try:
         card = Card.of_plan(plan, loop.shared.table, {"ember_ros": "1.2.3"})
         recording = Recording(into, card, loop.shared.table, namespace=namespace)
@@ -248,8 +247,8 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Made]:
         ("bag info", ("--namespace", "--cycles", "--json")),
         ("bag csv", ("--namespace", "--out", "out/csv", "pandas")),
         ("bag repair", ("BAG", "cut off", "metadata.yaml")),
-        ("walk", ("--bag", "--storage", "--split-s", "--split-mb", "mcap|sqlite3")),
-        ("train", ("--bag", "--storage", "--split-s", "--split-mb", "mcap|sqlite3")),
+        ("walk", ("--bag", "--split-s", "--split-mb")),
+        ("train", ("--bag", "--split-s", "--split-mb")),
     ],
 )
 def test_help_tells_what_can_be_asked(run: Go, command: str, says: Sequence[str]) -> None:
@@ -497,10 +496,9 @@ def test_csv_of_a_damaged_bag_says_so(run: Go, damaged: Path) -> None:
 # -- repair ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("storage", STORAGES)
-def test_repair_brings_back_a_bag_that_was_cut_off(run: Go, storage: str) -> None:
+def test_repair_brings_back_a_bag_that_was_cut_off(run: Go) -> None:
     """Refused before, whole after: what it says is what there is."""
-    made = record(Path("bag"), storage=storage)
+    made = record(Path("bag"))
     Path("bag", METADATA).unlink()
     assert "ember bag repair bag" in mistake(run, "bag", "info", "bag")
     text = words_of(run("bag", "repair", "bag"))
@@ -869,14 +867,14 @@ def test_relearn_from_one_of_two_robots(run: Go, two: dict[str, Made]) -> None:
 
 
 @needs_bullet
-@pytest.mark.parametrize(("verb", "storage"), [("train", "sqlite3"), ("walk", "mcap")])
-def test_a_run_is_recorded_and_replayed(run: Go, verb: str, storage: str) -> None:
+@pytest.mark.parametrize("verb", ["train", "walk"])
+def test_a_run_is_recorded_and_replayed(run: Go, verb: str) -> None:
     """In the real worlds: files, provenance and bits are those of the run."""
-    where = ("--on", "loop", "--out", "o", "--bag", "deep/bag", "--storage", storage)
+    where = ("--on", "loop", "--out", "o", "--bag", "deep/bag")
     text = words_of(run(verb, "--cycles", 3, "--seed", 4, "--split-s", 0.5, *where))
     assert "In deep/bag: the whole run; `ember replay deep/bag` runs it again" in text
     files = sorted(file.name for file in Path("deep/bag").iterdir())
-    assert files[:-1] == [f"bag_{n}{STORAGES[storage]}" for n in range(len(files) - 1)]
+    assert files[:-1] == [f"bag_{n}.mcap" for n in range(len(files) - 1)]
     assert files[-1] == METADATA
     assert len(files) > 2
     summary = json.loads(Path("o", SUMMARY).read_text())
@@ -942,7 +940,7 @@ def test_a_bag_that_cannot_be_made_costs_nothing(run: Go, bag: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "words", [("--storage", "tape"), ("--split-s", -1), ("--split-mb", "much")]
+    "words", [("--storage", "mcap"), ("--split-s", -1), ("--split-mb", "much")]
 )
 def test_a_bad_option_of_recording_is_said(run: Go, words: Sequence[Any]) -> None:
     """Exit code 2, and nothing is made."""

@@ -44,8 +44,8 @@ ROSDEP = {
     "scipy": "python3-scipy",
     "yaml": "python3-yaml",
 }
-# Imported only by `ember` verbs that say how to install them: the extra `bags`; mcap needs the first
-# and the last itself.
+# Imported only by `ember` verbs that say how to install them: the extra `bags`, in which mcap
+# brings lz4 and zstandard.
 OPTIONAL = {"lz4", "mcap", "rosbags", "zstandard"}
 
 

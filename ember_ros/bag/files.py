@@ -28,7 +28,7 @@ MOST_BYTES = 1 << 26
 MOST_TIMES = 1000
 """That a whole file may grow when it is unpacked; recordings grow tenfold."""
 _ZSTD = b"\x28\xb5\x2f\xfd"
-_MCAP = b"\x89MCAP0\r\n"
+MAGIC = b"\x89MCAP0\r\n"
 _SQLITE = b"SQLite format 3\0"
 
 
@@ -151,12 +151,10 @@ def unpacked(file: Path, folder: Path) -> Path:
 
 # -- MCAP ------------------------------------------------------------------------------------------
 
-_HEAD = struct.Struct("<BQ")
+HEAD = struct.Struct("<BQ")
 _OF_MESSAGE = struct.Struct("<HIQQ")
 _OF_CHUNK = struct.Struct("<QQQII")
-_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 2, 3, 4, 5, 6, 11, 15
-_END = _HEAD.size + 20 + len(_MCAP)
-"""Bytes of the footer and of what stands behind it."""
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, STATISTICS, _DATA_END = 2, 3, 4, 5, 6, 11, 15
 
 
 class _Run(NamedTuple):
@@ -165,6 +163,50 @@ class _Run(NamedTuple):
     first: int
     begin: int
     end: int
+
+
+class Channels:
+    """What an MCAP file says of its channels."""
+
+    def __init__(self) -> None:
+        """Begin before the first record."""
+        self.keys: dict[int, Key] = {}
+        self.counted: dict[int, int] = {}
+        """Messages a channel, as the file's statistics have it."""
+        self._schemas: dict[int, tuple[str, tuple[str, bytes]]] = {}
+        self._told: dict[int, tuple[str, tuple[str, bytes], dict[str, str]]] = {}
+
+    def learn(self, kind: int, data: bytes) -> None:
+        """Take in a record, if it tells of messages.
+
+        Raises:
+            ValueError: it is cut off, or tells something else than one before it.
+        """
+        if kind not in (SCHEMA, CHANNEL, STATISTICS):
+            return
+        from mcap import records
+        from mcap.data_stream import ReadDataStream
+
+        stream: Any = ReadDataStream(_Exactly(data))  # type: ignore[arg-type]
+        if kind == SCHEMA:
+            schema = records.Schema.read(stream)
+            self._schemas[schema.id] = schema.name, (schema.encoding, schema.data)
+        elif kind == CHANNEL:
+            channel = records.Channel.read(stream)
+            name, text = self._schemas.get(channel.schema_id, ("", ("", b"")))
+            key = self.keys.setdefault(channel.id, (channel.topic, name))
+            if key != (channel.topic, name):
+                raise ValueError(f"channel {channel.id} is {key}, and {channel.topic}, {name} too")
+            self._told[channel.id] = channel.message_encoding, text, dict(channel.metadata)
+        else:
+            told = records.Statistics.read(stream)
+            if sum(told.channel_message_counts.values()) == told.message_count:
+                self.counted = dict(told.channel_message_counts)
+
+    def connection(self, number: int, count: int) -> Connection:
+        """Return what is known of a channel."""
+        encoding, schema, told = self._told[number]
+        return Connection(*self.keys[number], count, encoding, schema, told)
 
 
 class Mcap:
@@ -176,11 +218,9 @@ class Mcap:
         Raises:
             ValueError: it is cut off or damaged.
         """
-        self._schemas: dict[int, tuple[str, tuple[str, bytes]]] = {}
-        self._channels: dict[int, tuple[Key, str, dict[str, str], int]] = {}
+        self._channels = Channels()
         self._chunks: list[tuple[int, int, int]] = []
         self._runs: list[_Run] = []
-        self._counted: dict[int, int] = {}
         self._file = file.open("rb")
         try:
             self._walk()
@@ -189,12 +229,9 @@ class Mcap:
             self.close()
             raise
         self.connections: dict[Key, Connection] = {}
-        for number, (key, encoding, told, schema) in self._channels.items():
-            count = counts[number]
-            if key in self.connections:
-                count += self.connections[key].msgcount
-            named = self._schemas.get(schema, ("", ("", b"")))
-            self.connections[key] = Connection(*key, count, encoding, named[1], told)
+        for number, key in self._channels.keys.items():
+            before = self.connections[key].msgcount if key in self.connections else 0
+            self.connections[key] = self._channels.connection(number, before + counts[number])
 
     def close(self) -> None:
         """Close the file."""
@@ -204,80 +241,55 @@ class Mcap:
         raw = self._file
         size = raw.seek(0, os.SEEK_END)
         raw.seek(0)
-        if raw.read(8) != _MCAP:
+        if raw.read(8) != MAGIC:
             raise ValueError("it begins neither as MCAP nor as SQLite")
         at, run = 8, None
         while True:
-            head = raw.read(_HEAD.size)
-            if len(head) < _HEAD.size:
+            head = raw.read(HEAD.size)
+            if len(head) < HEAD.size:
                 raise ValueError("it is cut off")
-            kind, length = _HEAD.unpack(head)
-            begin, at = at, at + _HEAD.size + length
+            kind, length = HEAD.unpack(head)
+            begin, at = at, at + HEAD.size + length
             if at > size:
                 raise ValueError("it is cut off")
-            if kind == _MESSAGE and length >= _OF_MESSAGE.size:
+            if kind == MESSAGE and length >= _OF_MESSAGE.size:
                 ns = _OF_MESSAGE.unpack(raw.read(_OF_MESSAGE.size))[2]
                 if run is None or ns < run[1] or self._runs[-1].end != begin:
                     self._runs.append(_Run(ns, begin, at))
                 else:
                     self._runs[-1] = self._runs[-1]._replace(end=at)
                 run = self._runs[-1].first, ns
-            elif kind == _CHUNK:
+            elif kind == CHUNK:
                 first = struct.unpack("<Q", raw.read(8))[0]
-                self._chunks.append((first, begin + _HEAD.size, length))
-            elif kind in (_SCHEMA, _CHANNEL, _STATISTICS):
-                self._learn(kind, raw.read(length))
-            elif kind == _FOOTER:
+                self._chunks.append((first, begin + HEAD.size, length))
+            elif kind in (SCHEMA, CHANNEL, STATISTICS):
+                self._channels.learn(kind, raw.read(length))
+            elif kind == FOOTER:
                 break
             raw.seek(at)
         raw.seek(at)
-        if raw.read(9) != _MCAP:
+        if raw.read(9) != MAGIC:
             raise ValueError("it does not end as an MCAP file")
         self._end = begin
 
-    def _learn(self, kind: int, data: bytes) -> None:
-        """Take in a record that tells of messages."""
-        from mcap import records
-        from mcap.data_stream import ReadDataStream
-
-        stream: Any = ReadDataStream(_Exactly(data))  # type: ignore[arg-type]
-        if kind == _SCHEMA:
-            schema = records.Schema.read(stream)
-            self._schemas[schema.id] = schema.name, (schema.encoding, schema.data)
-        elif kind == _CHANNEL:
-            channel = records.Channel.read(stream)
-            name = self._schemas.get(channel.schema_id, ("", None))[0]
-            found = (
-                (channel.topic, name),
-                channel.message_encoding,
-                dict(channel.metadata),
-                channel.schema_id,
-            )
-            if self._channels.setdefault(channel.id, found)[0] != found[0]:
-                raise ValueError(f"channel {channel.id} is said to be {found[0]} and another")
-        else:
-            told = records.Statistics.read(stream)
-            if sum(told.channel_message_counts.values()) == told.message_count:
-                self._counted = dict(told.channel_message_counts)
-
     def _counts(self) -> Counter[int]:
         """Return how many messages each channel has: as was counted, or anew."""
-        counted, empty = self._counted, not (self._chunks or self._runs)
-        if counted.keys() <= self._channels.keys() and (empty or any(counted.values())):
+        counted, empty = self._channels.counted, not (self._chunks or self._runs)
+        if counted.keys() <= self._channels.keys.keys() and (empty or any(counted.values())):
             return Counter(counted)
         counts: Counter[int] = Counter()
         for place in self._chunks:
             counts.update(number for _, number, _ in self._in_chunk(place))
         for run in self._runs:
             counts.update(number for _, number, _ in self._in_run(run))
-        unknown = counts.keys() - self._channels.keys()
+        unknown = counts.keys() - self._channels.keys.keys()
         if unknown:
             raise ValueError(f"nothing tells what its channels {sorted(unknown)} are")
         return counts
 
     def sources(self, wanted: Collection[Key], start: int) -> Iterator[_Source]:
         """Yield the chunks, and the runs of messages outside of them."""
-        numbers = {n: told[0] for n, told in self._channels.items() if told[0] in wanted}
+        numbers = {n: key for n, key in self._channels.keys.items() if key in wanted}
 
         def reads(found: Callable[[Any], Iterator[tuple[int, int, bytes]]], place: Any) -> Any:
             def read() -> Iterator[Message]:
@@ -296,27 +308,22 @@ class Mcap:
         """Yield the messages of a chunk by their times: time, channel, bytes."""
         _, at, length = place
         self._file.seek(at)
-        records = self._records(chunk(self._file.read(length)))
-        yield from sorted(records, key=lambda record: record[0])
-
-    def _records(self, data: bytes) -> Iterator[tuple[int, int, bytes]]:
-        for kind, inside in records_in(data):
-            if kind == _MESSAGE:
-                number, _, ns, _ = _OF_MESSAGE.unpack_from(inside)
-                yield ns, number, inside[_OF_MESSAGE.size :]
-            elif kind in (_SCHEMA, _CHANNEL):
-                self._learn(kind, inside)
+        found = []
+        for kind, data in records_in(chunk(self._file.read(length))):
+            if kind == MESSAGE:
+                found.append(message_in(data))
+            else:
+                self._channels.learn(kind, data)
+        yield from sorted(found, key=lambda message: message[0])
 
     def _in_run(self, run: _Run) -> Iterator[tuple[int, int, bytes]]:
         at = run.begin
         while at < run.end:
             self._file.seek(at)
-            kind, length = _HEAD.unpack(self._file.read(_HEAD.size))
-            at += _HEAD.size + length
-            if kind == _MESSAGE:
-                data = self._file.read(length)
-                number, _, ns, _ = _OF_MESSAGE.unpack_from(data)
-                yield ns, number, data[_OF_MESSAGE.size :]
+            kind, length = HEAD.unpack(self._file.read(HEAD.size))
+            at += HEAD.size + length
+            if kind == MESSAGE:
+                yield message_in(self._file.read(length))
 
     def check(self) -> None:
         """Hold the file against the CRCs of its data and of its summary, where there are any.
@@ -324,17 +331,17 @@ class Mcap:
         Raises:
             ValueError: something in it was changed.
         """
-        self._file.seek(self._end + _HEAD.size)
+        self._file.seek(self._end + HEAD.size)
         summary, _, expected = struct.unpack("<QQI", self._file.read(20))
         # All from the summary on, with the footer but for the CRC itself.
-        of_summary = (summary, self._end + _HEAD.size + 16)
+        of_summary = (summary, self._end + HEAD.size + 16)
         if expected and summary and _crc(self._file, *of_summary) != expected:
             raise ValueError("its summary is not as it was written")
         end = summary or self._end
-        self._file.seek(max(0, end - _HEAD.size - 4))
-        kind, length, expected = struct.unpack("<BQI", self._file.read(_HEAD.size + 4))
+        self._file.seek(max(0, end - HEAD.size - 4))
+        kind, length, expected = struct.unpack("<BQI", self._file.read(HEAD.size + 4))
         there = (kind, length) == (_DATA_END, 4) and expected
-        if there and _crc(self._file, 0, end - _HEAD.size - 4) != expected:
+        if there and _crc(self._file, 0, end - HEAD.size - 4) != expected:
             raise ValueError("its data are not as they were written")
 
 
@@ -364,6 +371,12 @@ def _crc(raw: BinaryIO, begin: int, end: int) -> int:
     return crc
 
 
+def message_in(data: bytes) -> tuple[int, int, bytes]:
+    """Return time, channel and bytes in the record of a message, which is whole."""
+    number, _, ns, _ = _OF_MESSAGE.unpack_from(data)
+    return ns, number, data[_OF_MESSAGE.size :]
+
+
 def chunk(data: bytes) -> bytes:
     """Return what is inside an MCAP chunk, its CRC checked.
 
@@ -391,11 +404,11 @@ def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
     """
     at = 0
     while at < len(data):
-        if at + _HEAD.size > len(data):
+        if at + HEAD.size > len(data):
             raise ValueError("a chunk is damaged")
-        kind, length = _HEAD.unpack_from(data, at)
-        at += _HEAD.size + length
-        if at > len(data) or (kind == _MESSAGE and length < _OF_MESSAGE.size):
+        kind, length = HEAD.unpack_from(data, at)
+        at += HEAD.size + length
+        if at > len(data) or (kind == MESSAGE and length < _OF_MESSAGE.size):
             raise ValueError("a chunk is damaged")
         yield kind, data[at - length : at]
 
@@ -461,7 +474,9 @@ class Sqlite3:
         for number, name, kind, encoding, *rest in self._database.execute(
             f"SELECT {', '.join(fields)} FROM topics ORDER BY id"
         ):
-            key = str(name), str(kind)
+            if not (isinstance(name, str) and isinstance(kind, str)):
+                raise ValueError(f"topic {number} has the name {name!r} and the type {kind!r}")
+            key = name, kind
             more = dict(zip(fields[4:], map(str, rest), strict=True))
             if "type_description_hash" in more:
                 more["topic_type_hash"] = more.pop("type_description_hash")

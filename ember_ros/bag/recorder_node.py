@@ -272,7 +272,7 @@ class RecorderNode(Node):  # type: ignore[misc]
     Subscribes: all topics of a robot, as their bytes. Publishes: ``recorder/tick``
     (std_msgs/Int64), -1 when it is ready. Calls, once each, before it begins: the
     nodes' ``get_parameters`` and ``table/pull``, for what determines the run.
-    Parameters: ``bag``, ``storage``, ``split_mb``, ``split_s``, ``all_robots``.
+    Parameters: ``bag``, ``split_mb``, ``split_s``, ``all_robots``.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -286,7 +286,7 @@ class RecorderNode(Node):  # type: ignore[misc]
             "recorder_node", automatically_declare_parameters_from_overrides=True, **kwargs
         )
         self.done = False
-        names = ("bag", "storage", "split_mb", "split_s")
+        names = ("bag", "split_mb", "split_s")
         declare_params(self, ())  # refuses unknown names
         options = declare_options(self, (*names, "all_robots"))
         if not options["bag"]:

@@ -3,7 +3,7 @@
 It has the face of ``BagWriter`` and uses one. What was flushed is in its hands: it outlives whoever
 recorded, and closes the bag when that ends, in whatever way. Pure.
 
-    python -m ember_ros.bag.scribe '["DIR", "mcap", 0.0, 0.0]' < records
+    python -m ember_ros.bag.scribe '["DIR", 0.0, 0.0]' < records
 """
 
 from __future__ import annotations

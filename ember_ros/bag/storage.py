@@ -1,9 +1,9 @@
-"""The files of a bag, as the tools of Jazzy expect them: MCAP or SQLite, and ``metadata.yaml``.
+"""Writes the files of a bag, as the tools of Jazzy expect them: MCAP, and ``metadata.yaml``.
 
 Messages are written as the bytes they travelled as, at times that the caller gives, so that the
-same messages make the same MCAP files. ``flush`` ends a chunk (MCAP) or a transaction (SQLite):
-what was flushed outlives this process. ``metadata.yaml`` is written last: a bag without it was cut
-off, and ``repair`` brings back what was flushed.
+same messages make the same files. ``flush`` ends a chunk: what was flushed outlives this process.
+``metadata.yaml`` is written last: a bag without it was cut off, and ``repair`` brings back what was
+flushed.
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ import contextlib
 import fcntl
 import functools
 import os
-import sqlite3
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, Protocol
+from typing import Any, NamedTuple, NoReturn
 
 import yaml
 
@@ -24,7 +23,8 @@ from ember_ros.errors import BagError
 
 METADATA = "metadata.yaml"
 STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}
-"""What a bag can be stored as, and the ending of its files."""
+"""What a bag that is read can be stored as, and the ending of its files; ours are the first."""
+STORAGE = "mcap"
 LOCK_S = 5.0
 """Wall time to wait for somebody who is just closing a bag."""
 VERSION = 9
@@ -53,6 +53,8 @@ class Definition(NamedTuple):
     """Of the ``.msg`` file and of all it uses."""
     rihs01: str
     """The type's hash (REP 2016)."""
+    encoding: str = "ros2msg"
+    """What kind of text it is."""
 
 
 def needs_rosbags(error: ModuleNotFoundError) -> BagError:
@@ -81,17 +83,6 @@ def _yaml(content: Any) -> str:
     return yaml.dump(content, Dumper=Plain, sort_keys=False)
 
 
-class _File(Protocol):
-    """One file of a bag."""
-
-    def add(self, channel: int, topic: str, kind: str) -> None: ...
-    def write(self, channel: int, ns: int, data: bytes) -> None: ...
-    def flush(self) -> None: ...
-    def size(self) -> int: ...
-    def close(self, metadata: str) -> None: ...
-    def abandon(self) -> None: ...
-
-
 class _Mcap:
     """An MCAP file: a chunk a flush, compressed, with its CRC."""
 
@@ -102,16 +93,17 @@ class _Mcap:
         # Chunks end where they are flushed, which the number of ticks decides, and nowhere else.
         self._writer: Any = Writer(self._out, chunk_size=1 << 40, compression=CompressionType.ZSTD)
         self._writer.start("ros2")
-        self._schemas: dict[str, int] = {}
+        self._schemas: dict[tuple[str, Definition], int] = {}
         self._channels: dict[int, int] = {}
 
-    def add(self, channel: int, topic: str, kind: str) -> None:
-        text, rihs01 = definition(kind)
-        if kind not in self._schemas:
-            self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
-        told = {"offered_qos_profiles": _yaml(QOS).strip(), "topic_type_hash": rihs01}
+    def add(self, channel: int, topic: str, kind: str, of: Definition, qos: Sequence[Any]) -> None:
+        if (kind, of) not in self._schemas:
+            self._schemas[kind, of] = self._writer.register_schema(
+                kind, of.encoding, of.text.encode()
+            )
+        told = {"offered_qos_profiles": _yaml(list(qos)).strip(), "topic_type_hash": of.rihs01}
         self._channels[channel] = self._writer.register_channel(
-            topic, "cdr", self._schemas[kind], told
+            topic, "cdr", self._schemas[kind, of], told
         )
 
     def write(self, channel: int, ns: int, data: bytes) -> None:
@@ -123,7 +115,7 @@ class _Mcap:
     def size(self) -> int:
         return self._out.tell()
 
-    def close(self, metadata: str) -> None:
+    def close(self) -> None:
         # The metadata stays outside: it names files, and the same run must make the same bytes
         # under any name.
         self._writer.finish()
@@ -133,71 +125,6 @@ class _Mcap:
         # What the file object still holds may not fit: let go of the descriptor all the same.
         with contextlib.suppress(OSError):
             self._out.close()
-
-
-class _Sqlite3:
-    """A SQLite database: a transaction a flush."""
-
-    def __init__(self, path: Path) -> None:
-        from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
-
-        class Named(Sqlite3Writer):
-            """Writes to a file of any name: `ros2 bag reindex` looks for ``<bag>_0.db3``."""
-
-            def __init__(self) -> None:
-                self.path = path
-                self.conn = sqlite3.connect(path)
-                self.conn.executescript(self.SQLITE_SCHEMA)
-                self.cursor = self.conn.cursor()
-
-        path.open("xb").close()  # never into a file that is there
-        self._path, self._writer = path, Named()
-        self._kinds: set[str] = set()
-        self._connections: dict[int, Any] = {}
-
-    def add(self, channel: int, topic: str, kind: str) -> None:
-        from rosbags.interfaces import (
-            Connection,
-            ConnectionExtRosbag2,
-            MessageDefinition,
-            MessageDefinitionFormat,
-        )
-
-        text, rihs01 = definition(kind)
-        connection = Connection(
-            id=channel + 1,
-            topic=topic,
-            msgtype=kind,
-            msgdef=MessageDefinition(MessageDefinitionFormat.MSG, text),
-            digest=rihs01,
-            msgcount=0,
-            ext=ConnectionExtRosbag2("cdr", []),
-            owner=None,
-        )
-        if kind not in self._kinds:
-            self._kinds.add(kind)
-            self._writer.add_msgtype(connection)
-        self._writer.add_connection(connection, _yaml(QOS).strip())
-        self._connections[channel] = connection
-
-    def write(self, channel: int, ns: int, data: bytes) -> None:
-        self._writer.write(self._connections[channel], ns, data)
-
-    def flush(self) -> None:
-        self._writer.conn.commit()
-
-    def size(self) -> int:
-        return self._path.stat().st_size
-
-    def close(self, metadata: str) -> None:
-        self._writer.close(VERSION, metadata)
-
-    def abandon(self) -> None:
-        with contextlib.suppress(sqlite3.Error):
-            self._writer.conn.close()
-
-
-_FILES: dict[str, Callable[[Path], _File]] = {"mcap": _Mcap, "sqlite3": _Sqlite3}
 
 
 class _Span:
@@ -226,7 +153,6 @@ class BagOptions(NamedTuple):
     """Where a bag goes, and how."""
 
     folder: Path
-    storage: str = "mcap"
     split_mb: float = 0.0
     """Megabytes after which a new file begins; 0 never."""
     split_s: float = 0.0
@@ -276,7 +202,7 @@ def size_of(folder: Path) -> int:
     """Return how many bytes are in the files of a bag."""
     size = 0
     for file in folder.iterdir():
-        with contextlib.suppress(FileNotFoundError):  # SQLite's journal comes and goes
+        with contextlib.suppress(FileNotFoundError):  # a draft of the metadata comes and goes
             size += file.stat().st_size
     return size
 
@@ -292,18 +218,16 @@ class BagWriter:
             made: whether the folder was made for it already.
 
         Raises:
-            BagError: the folder is there already or cannot be made, there is no such storage, or
-                a library is missing.
+            BagError: the folder is there already or cannot be made, or a library is missing.
         """
-        folder, storage, split_mb, split_s = options
-        if storage not in STORAGES:
-            raise BagError(f"there is no storage {storage!r}; it is {' or '.join(STORAGES)}")
-        self.folder, self.storage = folder, storage
+        folder, split_mb, split_s = options
+        self.folder = folder
         self._split_bytes, self._split_ns = split_mb * 1e6, split_s * 1e9
         self._channels: dict[tuple[str, str], int] = {}
+        self._told: list[tuple[Definition, Sequence[Any]]] = []
         self._counts: list[int] = []
         self._spans: list[_Span] = []
-        self._file: _File | None = None
+        self._file: _Mcap | None = None
         self._full = False
         if not made:
             make_folder(folder)
@@ -318,38 +242,47 @@ class BagWriter:
         except ModuleNotFoundError as error:
             self.abandon()
             raise needs_rosbags(error) from error
-        except (OSError, sqlite3.Error) as error:
+        except OSError as error:
             self._give_up(error)
 
     def _open_file(self) -> None:
-        name = f"{self.folder.resolve().name}_{len(self._spans)}{STORAGES[self.storage]}"
+        name = f"{self.folder.resolve().name}_{len(self._spans)}{STORAGES[STORAGE]}"
         with self._doing():
-            self._file = _FILES[self.storage](self.folder / name)
+            self._file = _Mcap(self.folder / name)
             for (topic, kind), channel in self._channels.items():
-                self._file.add(channel, topic, kind)
+                self._file.add(channel, topic, kind, *self._told[channel])
         self._spans.append(_Span(name))
 
-    def channel(self, topic: str, kind: str) -> int:
+    def channel(
+        self,
+        topic: str,
+        kind: str,
+        of: Definition | None = None,
+        qos: Sequence[Any] = QOS,
+    ) -> int:
         """Return the number under which messages of a topic are written.
 
         Args:
             topic: its absolute name.
             kind: its type, as ``std_msgs/msg/String``.
+            of: what the type is; that of Jazzy for None.
+            qos: ``offered_qos_profiles``, in rosbag2's words.
 
         Raises:
             BagError: the disk is full, or the like; the bag is closed as it is.
         """
         channel = self._channels.get((topic, kind))
         if channel is None:
-            definition(kind)  # an unknown type is refused before anything is noted of it
+            of = of or definition(kind)  # an unknown type is refused before anything is noted
             file = self._opened()
             channel = self._channels[topic, kind] = len(self._counts)
             self._counts.append(0)
+            self._told.append((of, qos))
             with self._doing():
-                file.add(channel, topic, kind)
+                file.add(channel, topic, kind, of, qos)
         return channel
 
-    def _opened(self) -> _File:
+    def _opened(self) -> _Mcap:
         if self._full:  # only now: no file is begun for nothing
             self.begin_file()
         if self._file is None:
@@ -369,7 +302,7 @@ class BagWriter:
         """
         try:
             self._opened().write(channel, ns, data)
-        except (OSError, sqlite3.Error) as error:
+        except OSError as error:
             self._give_up(error)
         self._counts[channel] += 1
         span = self._spans[-1]
@@ -402,7 +335,7 @@ class BagWriter:
         self._full = False
         if self._file is not None:
             with self._doing():
-                self._file.close(_yaml(self._metadata({})))
+                self._file.close()
             self._open_file()
 
     @property
@@ -414,7 +347,7 @@ class BagWriter:
         """Return what ``metadata.yaml`` says below its one key."""
         return {
             "version": VERSION,
-            "storage_identifier": self.storage,
+            "storage_identifier": STORAGE,
             **_told(self._spans),
             "topics_with_message_count": [
                 {
@@ -422,8 +355,8 @@ class BagWriter:
                         "name": topic,
                         "type": kind,
                         "serialization_format": "cdr",
-                        "offered_qos_profiles": QOS,
-                        "type_description_hash": definition(kind).rihs01,
+                        "offered_qos_profiles": list(self._told[channel][1]),
+                        "type_description_hash": self._told[channel][0].rihs01,
                     },
                     "message_count": self._counts[channel],
                 }
@@ -450,7 +383,7 @@ class BagWriter:
             return
         metadata = self._metadata(custom or {})
         with self._doing():
-            self._file.close(_yaml(metadata))
+            self._file.close()
             self._file, self._full = None, False
             write_metadata(self.folder, metadata)
         self._unlock()
