@@ -5,6 +5,20 @@ A message names what is wrong, where, and what would be right.
 
 from __future__ import annotations
 
+import reprlib
+from typing import Any
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 2, 100, 100
+
+
+def shown(value: Any) -> str:
+    """Return how a value that somebody else gave is shown in a message: short, whatever it is."""
+    try:
+        return _SHORT.repr(value)
+    except ValueError:  # Python prints no number of more than 4300 digits
+        return "a number of thousands of digits"
+
 
 class EmberError(Exception):
     """Base of all errors that ember_ros raises on purpose."""

@@ -20,9 +20,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
-from ember_ros.errors import ParameterError
+from ember_ros.errors import ParameterError, shown
 
 Value: TypeAlias = "float | int | bool | str | tuple[float, ...]"
+
+MOST_CELLS = 4_000_000
+"""Of a table: a hundred times those of the paper. A file can ask for more than any memory holds."""
 
 
 def num(default: Any, unit: str, doc: str, low: float = -math.inf, high: float = math.inf) -> Any:
@@ -278,7 +281,7 @@ def spec_of(name: str) -> Spec:
 
         near = difflib.get_close_matches(name, SPECS, n=3)
         hint = f"did you mean {', '.join(near)}?" if near else "`ember params` lists them all"
-        raise ParameterError(f"there is no parameter {name!r}; {hint}") from None
+        raise ParameterError(f"there is no parameter {shown(name)}; {hint}") from None
 
 
 def check(name: str, value: Any) -> Value:
@@ -291,23 +294,25 @@ def check(name: str, value: Any) -> Value:
 
     def number(item: Any, whole: bool) -> float | int:
         if isinstance(item, bool) or not isinstance(item, (int, float)):
-            raise ParameterError(f"{name} must be a number [{spec.unit}], not {item!r}")
+            raise ParameterError(f"{name} must be a number [{spec.unit}], not {shown(item)}")
         try:
             finite = math.isfinite(item)
         except OverflowError:  # a whole number beyond all floats
             finite = False
         if not finite or not spec.low <= item <= spec.high:
             raise ParameterError(
-                f"{name} = {item!r} is out of range: {spec.low} to {spec.high} "
+                f"{name} = {shown(item)} is out of range: {spec.low} to {spec.high} "
                 f"[{spec.unit}], and finite"
             )
         if whole and item != int(item):
-            raise ParameterError(f"{name} must be a whole number [{spec.unit}], not {item!r}")
+            raise ParameterError(f"{name} must be a whole number [{spec.unit}], not {shown(item)}")
         return int(item) if whole else float(item)
 
     if isinstance(spec.default, tuple):
         if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
-            raise ParameterError(f"{name} must be a list of numbers [{spec.unit}], not {value!r}")
+            raise ParameterError(
+                f"{name} must be a list of numbers [{spec.unit}], not {shown(value)}"
+            )
         items = tuple(float(number(item, False)) for item in value)
         if not items:
             raise ParameterError(f"{name} must not be empty")
@@ -338,7 +343,8 @@ def _check_together(p: Params) -> None:
         )
     if 0.0 not in p.leg.knee_speeds or list(p.leg.knee_speeds) != sorted(set(p.leg.knee_speeds)):
         raise ParameterError(
-            f"leg.knee_speeds = {p.leg.knee_speeds} must rise strictly and have 0.0 among them"
+            f"leg.knee_speeds = {shown(p.leg.knee_speeds)} must rise strictly and have 0.0 among "
+            "them"
         )
     if p.state.hip_low >= p.state.hip_high:
         raise ParameterError(
@@ -347,7 +353,14 @@ def _check_together(p: Params) -> None:
     for name in ("force_edges", "inclination_edges"):
         edges = getattr(p.state, name)
         if list(edges) != sorted(set(edges)):
-            raise ParameterError(f"state.{name} = {edges} must rise strictly")
+            raise ParameterError(f"state.{name} = {shown(edges)} must rise strictly")
+    state = p.state
+    bins = state.hip_bins * (len(state.force_edges) + 1) * (len(state.inclination_edges) + 1) * 4
+    if bins * len(p.leg.knee_speeds) > MOST_CELLS:
+        raise ParameterError(
+            f"state.hip_bins, state.*_edges and leg.knee_speeds make a table of {bins} states x "
+            f"{len(p.leg.knee_speeds)} actions; up to {MOST_CELLS} cells would be right"
+        )
     if p.leg.operating_height >= p.leg.thigh_length + p.leg.shank_length:
         raise ParameterError(
             f"leg.operating_height = {p.leg.operating_height} m is out of the leg's reach of "
