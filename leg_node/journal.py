@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ember_ros.errors import TableError
+from ember_ros.given import open_file
 from ember_ros.signals import Pair
 from leg_node.shared import Push
 
@@ -78,12 +79,13 @@ class Journal:
         """Return the pushes since the snapshot of a generation, up to the first torn line."""
         pushes: list[Push] = []
         try:
-            lines = self.file.read_text(encoding="utf-8", errors="replace").splitlines()
+            with open_file(self.file) as raw:
+                lines = raw.read().decode(errors="replace").splitlines()
             if json.loads(lines[0]) != {"generation": generation}:
                 return []
             for line in lines[1:]:
                 pushes.append(from_json(json.loads(line)))
-        except (OSError, ValueError, IndexError, TypeError):
+        except (OSError, ValueError, IndexError, TypeError, RecursionError):
             pass  # torn where the process died: that push was not acknowledged
         return pushes
 

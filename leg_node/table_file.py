@@ -4,18 +4,34 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
+import re
+import struct
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import ember_ros
-from ember_ros.errors import TableError
+from ember_ros.errors import TableError, shown
+from ember_ros.given import open_file, read_json
 from ember_ros.params import Params, as_dict, cells_sha256, params_sha256
 from leg_node.table import Table, empty_table
+
+MEMBERS = ("values", "visits", "about")
+MOST_ABOUT = 1 << 20
+"""Bytes of ``about``, and of all in a file that is not the numbers: a hundred times what it has."""
+_NPY = struct.Struct("<8sH")
+_MAGIC = b"\x93NUMPY\x01\x00"
+_HEADER = re.compile(
+    rb"\{'descr': '([<>|=]\w+)', 'fortran_order': (True|False), 'shape': \(([\d, ]*)\), \}\s*"
+)
+"""What numpy writes for an array that is no record; its own reader runs it as Python."""
 
 
 def save_table(
@@ -68,35 +84,42 @@ def save_table(
 def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
     """Read a table and what is known about it.
 
+    Nothing is unpacked before the file says that it has the size which ``params`` ask for.
+
     Raises:
         TableError: the file is missing, is no table, is damaged, or its cells mean something
             else than ``params`` says.
     """
+    table = empty_table(params)
     try:
-        with file.open("rb") as raw, np.load(raw, allow_pickle=False) as content:
-            values, visits, text = content["values"], content["visits"], content["about"]
-        about = json.loads(str(text))
-        if not isinstance(about, dict):
-            raise ValueError("about is no JSON object")
+        with open_file(file, 16 * len(table) + MOST_ABOUT) as raw, zipfile.ZipFile(raw) as content:
+            values, visits, text = (_Member(content, name) for name in MEMBERS)
+            shape = (table.states, table.actions)
+            if values.shape != shape or visits.shape != shape:
+                raise TableError(
+                    f"{file} has values {shown(values.shape)} and visits {shown(visits.shape)}; "
+                    f"these parameters need {shape} (states, actions)"
+                )
+            if values.dtype != np.float64 or visits.dtype != np.int64:
+                raise TableError(
+                    f"{file} holds {values.dtype} and {visits.dtype}; float64 values and int64 "
+                    "visits would be right"
+                )
+            about = read_json(str(text.read(MOST_ABOUT)), MOST_ABOUT)
+            if not isinstance(about, dict):
+                raise ValueError("about is no JSON object")
+            table.values[:] = values.read().reshape(-1)
+            table.visits[:] = visits.read().reshape(-1)
     except FileNotFoundError:
         raise TableError(f"there is no table {file}; `ember train` makes one") from None
+    except TableError:
+        raise
     except Exception as error:  # a foreign file makes numpy, zip and zlib raise nearly anything
         raise TableError(
-            f"{file} is not a whole ember_ros table (an .npz of values, visits, about): {error}"
+            f"{file} is not a whole ember_ros table (an .npz of values, visits, about): "
+            f"{error or type(error).__name__}"
         ) from error
-    table = empty_table(params)
-    shape = (table.states, table.actions)
-    if values.shape != shape or visits.shape != shape:
-        raise TableError(
-            f"{file} has values {values.shape} and visits {visits.shape}; these parameters "
-            f"need {shape} (states, actions)"
-        )
-    if values.dtype != np.float64 or visits.dtype != np.int64:
-        raise TableError(
-            f"{file} holds {values.dtype} and {visits.dtype}; float64 values and int64 visits "
-            "would be right"
-        )
-    if not np.isfinite(values).all() or (visits < 0).any():
+    if not np.isfinite(table.values).all() or (table.visits < 0).any():
         raise TableError(f"{file} holds values that are not finite or visits under 0")
     if about.get("cells_sha256") != cells_sha256(params):
         raise TableError(
@@ -104,8 +127,44 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
             "stance share (state.*, leg.load, leg.knee_speeds, gait.stance_share); load it with "
             "the parameters it was learnt with"
         )
-    table.values[:] = values.reshape(-1)
-    table.visits[:] = visits.reshape(-1)
     if about.get("table_sha256") != table.sha256():
         raise TableError(f"{file} is damaged: its content does not have the SHA-256 it names")
     return table, about
+
+
+class _Member:
+    """One array in an ``.npz``, of which only the header was read yet."""
+
+    def __init__(self, content: zipfile.ZipFile, name: str) -> None:
+        found = [info for info in content.infolist() if info.filename == f"{name}.npy"]
+        if len(found) != 1:
+            raise ValueError(f"it has {len(found)} members {name}")
+        (self._info,) = found
+        self._content, self._name = content, name
+        if self._info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError(f"{name} is compressed in another way than deflate")
+        with content.open(self._info) as raw:
+            magic, length = _NPY.unpack(raw.read(_NPY.size))
+            header = _HEADER.fullmatch(raw.read(length))
+        if magic != _MAGIC or header is None:
+            raise ValueError(f"{name} is no plain array")
+        self._begin = _NPY.size + length
+        self.dtype = np.dtype(header[1].decode())
+        self.shape = tuple(int(size) for size in header[3].replace(b",", b" ").split())
+        self._order: Any = "F" if header[2] == b"True" else "C"
+        size = math.prod(self.shape) * self.dtype.itemsize
+        if self.dtype.hasobject or self._info.file_size != self._begin + size:
+            raise ValueError(
+                f"{name} has {self._info.file_size} bytes, which is not what its header says"
+            )
+
+    def read(self, most: int | None = None) -> NDArray[Any]:
+        """Return the array, of up to ``most`` bytes."""
+        size = self._info.file_size
+        if most is not None and size > most:
+            raise ValueError(f"{self._name} has {size} bytes; up to {most} would be right")
+        with self._content.open(self._info) as raw:
+            data = raw.read(size)  # no more, whatever is packed in it; the last byte checks the CRC
+        return np.frombuffer(data, self.dtype, offset=self._begin).reshape(
+            self.shape, order=self._order
+        )

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import pickle
 import re
 import stat
+import struct
+import tracemalloc
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -490,3 +493,121 @@ def test_another_number_of_cells(saved: Path) -> None:
     says = refusal(saved, replace(PARAMS, {"state.hip_bins": 4}))
     assert "(72, 3)" in says
     assert "(96, 3)" in says
+
+
+# -- files that lie ------------------------------------------------------------------------------
+
+
+def npy(descr: str, shape: str, data: bytes = b"", version: bytes = b"\x01\x00") -> bytes:
+    """Return an array's file that says what it is told to say."""
+    header = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY" + version + struct.pack("<H", len(header)) + header + data
+
+
+def packed(file: Path, name: str, data: bytes, how: int = zipfile.ZIP_DEFLATED) -> None:
+    """Put other bytes in the place of one member of a table's file."""
+    with zipfile.ZipFile(file) as old:
+        members = {each: old.read(each) for each in old.namelist()}
+    members[f"{name}.npy"] = data
+    with zipfile.ZipFile(file, "w", how) as new:
+        for each, content in members.items():
+            new.writestr(each, content)
+
+
+def declare(file: Path, name: str, size: int) -> None:
+    """Let the zip directory name another size for a member than it has."""
+    data = bytearray(file.read_bytes())
+    at = data.rindex(f"{name}.npy".encode()) - 46
+    assert data[at : at + 4] == b"PK\x01\x02"
+    data[at + 24 : at + 28] = struct.pack("<I", size)
+    file.write_bytes(data)
+
+
+def bomb(file: Path, size: int, shape: str) -> None:
+    """Let much more be packed as values than the directory and the header name."""
+    packed(file, "values", npy("'<f8'", shape, bytes(HUGE)))
+    declare(file, "values", size)
+
+
+def instead(file: Path, make: Callable[[Path], object]) -> None:
+    """Put something else in a file's place."""
+    file.unlink()
+    make(file)
+
+
+HUGE = 64 << 20
+LIES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "a bomb": (lambda f: packed(f, "values", npy("'<f8'", f"({HUGE // 8},)", bytes(HUGE))), "need"),
+    "a bomb that says so": (
+        lambda f: packed(f, "about", npy(f"'<U{HUGE // 4}'", "()", bytes(HUGE))), "up to 1048576"
+    ),
+    "a bomb said to be small": (lambda f: bomb(f, 100, "(9, 9)"), "Bad CRC-32"),
+    "a bomb in the right shape": (
+        lambda f: bomb(f, 72 * 3 * 8 + len(npy("'<f8'", "(72, 3)")), "(72, 3)"), "Bad CRC-32"
+    ),
+    "packed by bzip2": (lambda f: packed(f, "values", bytes(HUGE), zipfile.ZIP_BZIP2), "deflate"),
+    "packed by lzma": (lambda f: packed(f, "values", bytes(HUGE), zipfile.ZIP_LZMA), "deflate"),
+    "a shape beyond all memory": (
+        lambda f: packed(f, "values", npy("'<f8'", f"({10**15}, 9)")), "not what its header says"
+    ),
+    "an item beyond all memory": (
+        lambda f: packed(f, "about", npy("'<U99999999'", "()")), "not what its header says"
+    ),
+    "digits": (lambda f: packed(f, "values", npy("'<f8'", f"({'9' * 9000},)")), "not a whole"),
+    "Python": (lambda f: packed(f, "values", npy("'<f8'", "(" * 9000)), "no plain array"),
+    "a record": (
+        lambda f: packed(f, "values", npy("[('a', '<f8')]", "(9,)", bytes(72))), "no plain array"
+    ),
+    "objects": (lambda f: packed(f, "values", npy("'|O'", "()", bytes(8))), "not what its header"),
+    "a version with a long header": (
+        lambda f: packed(f, "values", npy("'<f8'", "()", bytes(8), b"\x02\x00")), "no plain array"
+    ),
+    "deep JSON": (
+        lambda f: rewrite(f, lambda c: c._replace(about=np.array("[" * 100_000))), "too deeply"
+    ),
+    "a number of many digits": (
+        lambda f: rewrite(f, lambda c: c._replace(about=np.array("9" * 100_000))), "not a whole"
+    ),
+    "a long file": (lambda f: f.write_bytes(f.read_bytes() + bytes(HUGE)), "bytes; up to"),
+    "a long file of nothing": (lambda f: os.truncate(f, 1 << 40), "bytes; up to"),
+    "a pipe": (lambda f: instead(f, os.mkfifo), "no regular file"),
+    "a device": (lambda f: instead(f, lambda f: f.symlink_to("/dev/zero")), "no regular file"),
+    "a link to itself": (lambda f: instead(f, lambda f: f.symlink_to(f)), "not a whole"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LIES)
+def test_a_file_that_lies_is_refused_before_it_is_unpacked(saved: Path, name: str) -> None:
+    """Whatever a file says of its size: it costs neither time nor memory, and has one line."""
+    spoil, says = LIES[name]
+    spoil(saved)
+    tracemalloc.start()
+    try:
+        said = refusal(saved)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert says in said
+    assert len(said) < 500
+    assert "\n" not in said
+    assert most < HUGE / 8
+
+
+def test_a_member_that_is_there_twice_is_refused(saved: Path) -> None:
+    """Which of the two were the table?"""
+    with zipfile.ZipFile(saved, "a") as content, pytest.warns(UserWarning, match="Duplicate"):
+        content.writestr("values.npy", content.read("values.npy"))
+    assert "2 members values" in refusal(saved)
+
+
+def test_a_table_that_was_packed_again_is_read(saved: Path) -> None:
+    """Other zip tools, other orders of an array and a link to the file are as good."""
+    rewrite(saved, lambda c: c._replace(values=np.asfortranarray(c.values)))
+    with zipfile.ZipFile(saved) as old:
+        members = {each: old.read(each) for each in reversed(old.namelist())}
+    link = saved.with_name("link.npz")
+    with zipfile.ZipFile(saved, "w", zipfile.ZIP_STORED) as new:
+        for each, content in members.items():
+            new.writestr(each, content)
+    link.symlink_to(saved)
+    assert load_table(link, PARAMS)[0].sha256() == learnt().sha256()
