@@ -536,6 +536,28 @@ def test_time_that_begins_anew_ends_the_bag(
     assert raws_of(tmp_path / "bag") == said
 
 
+@pytest.mark.parametrize("seconds", [-1, 10, 2**30])
+def test_one_message_of_another_time_ends_no_recording(
+    ros: Ros, tmp_path: Path, walked: Path, at_once: None, seconds: int
+) -> None:
+    """A wrong clock, phase or stamp is left out, and all that follows is written."""
+    recorder = recording(ros, tmp_path / "bag")
+    voice = Voice(ros, recorder, raws_of(walked))
+    said = voice.say(range(60))
+    until_heard(ros, recorder, 59)
+    ns, params = 59 * TICK_NS + seconds * 10**9, plan().params
+    voice.publishers["/clock"].publish(wire.pack_clock(ns))
+    voice.publishers["/cpg/phase"].publish(wire.pack_phase(ns / 1e9 / params.gait.period))
+    data = next(raw.data for raw in reversed(said) if raw.topic == "/rear_left/command")
+    stamp = wire.pack_clock(ns)[4:12]
+    voice.publishers["/rear_left/command"].publish(data[:4] + stamp + data[12:])
+    said += voice.say(range(60, ALL))
+    until_heard(ros, recorder, ALL - 1)
+    assert not recorder.done
+    recorder.finish(ros.spin_once)
+    assert raws_of(tmp_path / "bag") == said
+
+
 def test_what_is_no_message_is_not_recorded_and_disturbs_nobody(
     ros: Ros, tmp_path: Path, walked: Path, at_once: None
 ) -> None:

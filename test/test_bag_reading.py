@@ -417,6 +417,62 @@ def test_a_tick_may_need_more_than_its_parts() -> None:
     assert [tick for tick, _ in window.rest()] == [1, 2]
 
 
+FAR = [LATE + 60, 10**6, 2**53]
+
+
+@pytest.mark.parametrize("far", FAR)
+@pytest.mark.parametrize("lying", [["a"], ["b"], ["c"], ["d", "e"]], ids=lambda each: "".join(each))
+@pytest.mark.parametrize("at", [0, 20, 39])
+def test_a_part_far_ahead_of_all_others_is_not_waited_for(
+    far: int, lying: list[str], at: int
+) -> None:
+    """One wrong stamp, or two of one leg, costs its own tick and no other, wherever it is."""
+    window = Window("abcde")
+    out: dict[int, Any] = {}
+    for tick in range(40 + LATE):
+        for part in "abcde":
+            window.put(far if tick == at and part in lying else tick, part, tick)
+            out.update(window.take())
+    out.update(window.rest())
+    assert list(out) == list(range(40 + LATE))
+    assert {tick: set("abcde") - parts.keys() for tick, parts in out.items() if len(parts) < 5} == {
+        at: set(lying)
+    }
+    assert window.displaced == len(lying)
+
+
+def test_a_leg_whose_clock_is_wrong_for_good_ends_nothing() -> None:
+    """All others go on here, so time is here."""
+    window = Window("abcd")
+    out: dict[int, Any] = {}
+    for tick in range(500):
+        for part in "abcd":
+            window.put(tick + 10**9 * (part == "c"), part, tick)
+            out.update(window.take())
+        assert len(window._ahead) <= LATE + 2
+    out.update(window.rest())
+    assert list(out) == list(range(500))
+    assert all(parts.keys() == set("abd") for parts in out.values())
+    assert window.displaced == 500
+
+
+@pytest.mark.parametrize("parts", ["a", "ab", "abc", "abcdef"])
+@pytest.mark.parametrize("first", [0, 5000])
+@pytest.mark.parametrize("far", [*FAR, LATE + 2])
+def test_a_gap_is_gone_over(parts: str, first: int, far: int) -> None:
+    """When all are far ahead, they are believed, and no part of them is lost."""
+    window = Window(parts)
+    out: dict[int, Any] = {}
+    ticks = [*range(first, first + 3), *range(first + far, first + far + 3)]
+    for tick in ticks:
+        for part in parts:
+            assert window.put(tick, part, tick)
+            out.update(window.take())
+    out.update(window.rest())
+    assert out == {tick: dict.fromkeys(parts, tick) for tick in ticks}
+    assert window.displaced == 0
+
+
 # -- the card ------------------------------------------------------------------------------------
 
 weights = st.floats(-1e6, 1e6, allow_nan=False)
@@ -1322,6 +1378,38 @@ def test_two_runs_in_one_bag_are_refused(
         Bag(into(tmp_path / "bag", [*begun, *again])) as opened,
     ):
         list(opened.ticks())
+
+
+@pytest.mark.parametrize("seconds", [-1, 10, 2**30])
+@pytest.mark.parametrize("topic", ["/clock", "/cpg/phase", "/rear_left/command"])
+def test_one_message_of_another_time_ends_nothing(
+    walked: Run, messages: list[Raw], tmp_path: Path, topic: str, seconds: int
+) -> None:
+    """What follows it is read as ever; only its own tick goes without it."""
+    at = 70
+    moved = {
+        "/clock": wire.pack_clock(at * TICK_NS + seconds * 10**9),
+        "/cpg/phase": wire.pack_phase(at / TICKS + seconds / PARAMS.gait.period),
+    }
+    spoilt = [
+        raw
+        if (raw.topic, raw.ns) != (topic, at * TICK_NS)
+        else raw._replace(
+            data=moved.get(
+                topic,
+                raw.data[:4] + wire.pack_clock(at * TICK_NS + seconds * 10**9)[4:] + raw.data[12:],
+            )
+        )
+        for raw in messages
+    ]
+    assert spoilt != messages
+    with Bag(write_as_others_do(tmp_path / "bag", spoilt)) as opened:
+        found = {tick.tick: tick for tick in opened.ticks()}
+        assert opened.stale == (topic != "/clock" and 1)
+    with Bag(walked.bag) as opened:
+        expected = {tick.tick: tick for tick in opened.ticks()}
+    assert found.keys() == expected.keys() - ({at} if topic == "/cpg/phase" else set())
+    assert all(found[tick] == expected[tick] for tick in found if tick != at)
 
 
 # -- a look inside -------------------------------------------------------------------------------

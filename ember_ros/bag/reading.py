@@ -92,7 +92,7 @@ class Bag:
         self.damages: list[Damage] = []
         """What the last pass of ``ticks`` found to be changed."""
         self.stale = 0
-        """Messages of ticks that were over, in the last pass."""
+        """Messages of ticks that were over, or far ahead of all others, in the last pass."""
         try:
             self.connections: dict[str, Connection] = {}
             for connection in self._files.connections.values():
@@ -296,7 +296,7 @@ class Bag:
         parts = [self._name(topic) for topic in self._needed()]
         also = [self._name(t) for t in (topics.ODOMETRY, *map(topics.transition, self.legs))]
         parts += [name for name in also if name in self.connections]
-        window, falls, newest = Window(parts), 0, -1
+        window, falls, newest, back = Window(parts), 0, -1, False
         phase = self._name(topics.PHASE)
         for topic, _, data in self._messages([*readers, beat]):
             if topic == beat:
@@ -315,15 +315,17 @@ class Bag:
             if tick >= 0 and not window.put(tick, topic, (data, value)):
                 self.stale += 1
             if topic == phase:
-                if tick < newest:
+                if tick < newest and back:  # one alone may be wrong
                     raise BagError(
                         f"{self.path}: after tick {newest}, {topic} begins anew at tick "
                         f"{tick}: there are two runs in this bag"
                     )
-                newest = tick
+                back = tick < newest
+                newest = max(newest, min(tick, window.newest))
         for tick, found in window.rest():
             falls += self._fell(found)
             yield from self._tick(tick, found, falls, seen)
+        self.stale += window.displaced
 
     def _messages(self, names: list[str]) -> Iterator[tuple[str, int, bytes]]:
         keys = [self.connections[name][:2] for name in names if name in self.connections]

@@ -57,6 +57,7 @@ class _Ear:
         self._falls: deque[bytes] = deque()
         self._first = True
         self._lasts: dict[str, int] = {}
+        self._back: set[str] = set()  # who just spoke of a tick before its last
         self._tick_ns = 0
         self._readers: dict[str, Callable[[bytes], int]] = {}
         self._progress = self._named(topics.RECORDED).publish(node)
@@ -201,12 +202,13 @@ class _Ear:
             tick = self._tick_of(name, data)
             if tick is None:
                 return
+            kept = self._window.put(tick, name, data)
             if name in (topics.CLOCK.name, topics.PHASE.name):
-                if tick < self._lasts.get(name, -1):
-                    self.anew = True
-                    return
-                self._lasts[name] = tick
-            if not self._window.put(tick, name, data):
+                back = tick < self._lasts.get(name, -1)
+                self.anew = back and name in self._back  # one alone may be wrong
+                (self._back.add if back else self._back.discard)(name)
+                self._lasts[name] = max(self._lasts.get(name, -1), min(tick, self._window.newest))
+            if not kept or self.anew:
                 return
         for tick, found in self._window.take():
             self._write(tick, found)

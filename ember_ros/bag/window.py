@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 LATE = 64
-"""Ticks after which what is missing of a tick is no longer waited for: two cycles."""
+"""Ticks after which what is missing of a tick is no longer waited for: two cycles. What is further
+ahead than that of all that came is believed only when the others are there too: one wrong stamp
+must not make everything that follows come too late."""
+
+
+class _Ahead(NamedTuple):
+    """A part that came for a tick far ahead."""
+
+    tick: int
+    part: str
+    value: Any
+    newest: int
+    """The newest tick when it came."""
 
 
 class Window:
@@ -32,6 +44,9 @@ class Window:
         self._late = late
         self._ticks: dict[int, dict[str, Any]] = {}
         self._newest = -1
+        self._ahead: list[_Ahead] = []
+        self.displaced = 0
+        """Parts that were left out, since no others came for ticks near theirs."""
 
     @property
     def newest(self) -> int:
@@ -42,10 +57,36 @@ class Window:
         """Keep a part; return False if its tick came out before."""
         if tick <= self.last:
             return False
+        if tick <= self._newest + self._late:
+            self._keep(tick, part, value)
+        else:
+            self._set_aside(_Ahead(tick, part, value, self._newest))
+        return True
+
+    def _keep(self, tick: int, part: str, value: Any) -> None:
         self._ticks.setdefault(tick, {}).setdefault(part, value)
         if tick > self._newest:
             self._newest = tick
-        return True
+
+    def _set_aside(self, new: _Ahead) -> None:
+        """Wait with a part that is far ahead until there is reason to believe that time is there.
+
+        That is when more than half of the parts are, or when one goes on there while nothing goes
+        on here.
+        """
+        kept = [each for each in self._ahead if self._newest - each.newest <= self._late]
+        self.displaced += len(self._ahead) - len(kept)
+        near = [each for each in kept if abs(each.tick - new.tick) <= self._late]
+        self._ahead = [*kept, new]
+        parts = {new.part, *(each.part for each in near)}
+        goes_on = any(
+            each.part == new.part and each.tick < new.tick and each.newest == self._newest
+            for each in near
+        )
+        if goes_on or (len(parts) > 1 and 2 * len(parts) > len(self.parts)):
+            self._ahead = [each for each in kept if each not in near]
+            for each in (*near, new):
+                self._keep(*each[:3])
 
     def take(self) -> Iterator[tuple[int, dict[str, Any]]]:
         """Yield the ticks that are complete or late, in order, none before an earlier one."""
@@ -59,6 +100,12 @@ class Window:
 
     def rest(self) -> Iterator[tuple[int, dict[str, Any]]]:
         """Yield all that is left, in order."""
+        if self._newest < 0:  # too little came for any doubt
+            for each in self._ahead:
+                self._keep(*each[:3])
+        else:
+            self.displaced += len(self._ahead)
+        self._ahead = []
         while self._ticks:
             yield self._out(min(self._ticks))
 
