@@ -11,7 +11,6 @@ import sys
 from collections.abc import Iterator
 from fnmatch import fnmatch
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
 
@@ -19,7 +18,6 @@ import pytest
 import setuptools
 
 import ember_ros
-from ember_ros.signals import LEGS, TRAINER_LEG
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -275,121 +273,6 @@ def test_imports_are_declared(pyproject: dict[str, Any], package_xml: ElementTre
     foreign = imported - sys.stdlib_module_names - set(top_packages(pyproject)) - OPTIONAL
     told = {element.text for element in package_xml.findall("exec_depend")}
     assert sorted({ROSDEP.get(name, name) for name in foreign} - told) == []
-
-
-class Recorded:
-    """Stands for any class of launch and launch_ros, which no wheel brings: keeps its arguments."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        self.args = args
-        self.kwargs = kwargs
-
-    def perform(self, context: dict[str, str]) -> str:
-        """Return the value of a LaunchConfiguration; the context is a plain dict here."""
-        return context[self.args[0]]
-
-
-@pytest.fixture
-def recorded_launch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let launch files import launch and launch_ros, and get ``Recorded`` for every class."""
-    for name in (
-        "launch",
-        "launch.actions",
-        "launch.launch_description_sources",
-        "launch.substitutions",
-        "launch_ros",
-        "launch_ros.actions",
-        "launch_ros.parameter_descriptions",
-    ):
-        module = ModuleType(name)
-        module.__dict__["__getattr__"] = lambda _: Recorded
-        module.__dict__["__path__"] = []
-        monkeypatch.setitem(sys.modules, name, module)
-
-
-def launch_nodes(**given: str) -> dict[str, dict[str, Any]]:
-    """Return {node name: arguments of its Node} that walk.launch.py starts with these arguments."""
-    launch_file = runpy.run_path(str(LAUNCH / "walk.launch.py"))
-    declared = {
-        action.args[0]: action.kwargs["default_value"]
-        for action in launch_file["generate_launch_description"]().args[0]
-        if "default_value" in action.kwargs
-    }
-    assert set(given) <= set(declared)
-    nodes = launch_file["start"]({**declared, **given})
-    return {node.kwargs["name"]: node.kwargs for node in nodes}
-
-
-def values(parameters: dict[str, Any]) -> dict[str, Any]:
-    """Return parameters with a ParameterValue told as (text, type)."""
-    return {
-        name: (value.args[0], value.kwargs["value_type"]) if isinstance(value, Recorded) else value
-        for name, value in parameters.items()
-    }
-
-
-@pytest.mark.usefixtures("recorded_launch")
-@pytest.mark.parametrize(("world", "legs"), [("walker", LEGS), ("trainer", (TRAINER_LEG,))])
-def test_launch_starts_the_whole_graph(world: str, legs: tuple[str, ...]) -> None:
-    """One sim, one generator, one table, and every leg of that world under a name of its own.
-
-    No recorder: the world itself records if it is given a bag.
-    """
-    nodes = launch_nodes(world=world)
-    executables = {name: node["executable"] for name, node in nodes.items()}
-    assert executables == {
-        **{node: node for node in NODES if node not in ("leg_node", "recorder_node")},
-        **{f"leg_{leg}": "leg_node" for leg in legs},
-    }
-    assert {node["package"] for node in nodes.values()} == {"ember_ros"}
-    for leg in legs:
-        given = values(nodes[f"leg_{leg}"]["parameters"][-1])
-        assert given == {"leg": leg, "stage": "train" if world == "trainer" else "walk"}
-
-
-@pytest.mark.usefixtures("recorded_launch")
-def test_launch_arguments_reach_the_nodes() -> None:
-    """Each argument becomes the parameter it names, after params_file, so that it wins."""
-    nodes = launch_nodes(
-        namespace="robot",
-        params_file="p.yaml",
-        table="t",
-        save="s",
-        cycles="7",
-        seed="3",
-        gui="true",
-        bag="b",
-    )
-    assert {node["namespace"] for node in nodes.values()} == {"robot"}
-    assert {node["parameters"][0] for node in nodes.values()} == {"p.yaml"}
-    assert values(nodes["sim_node"]["parameters"][1]) == {
-        "world": ("walker", str),
-        "cycles": ("7", int),
-        "seed": ("3", int),
-        "gui": ("true", bool),
-        "bag": ("b", str),
-    }
-    assert values(nodes["table_node"]["parameters"][1]) == {
-        "stage": "walk",
-        "table": ("t", str),
-        "save": ("s", str),
-        "seed": ("3", int),
-    }
-    assert values(nodes[f"leg_{LEGS[0]}"]["parameters"][1]) == {
-        "leg": LEGS[0],
-        "stage": "walk",
-        "seed": ("3", int),
-    }
-
-
-@pytest.mark.usefixtures("recorded_launch")
-def test_train_launch_is_the_same_graph_in_the_trainer() -> None:
-    """train.launch.py includes walk.launch.py and changes nothing but the world."""
-    launch_file = runpy.run_path(str(LAUNCH / "train.launch.py"))
-    ((include,),) = launch_file["generate_launch_description"]().args
-    (source,) = include.args
-    assert source.args[0].args[0][-1] == "walk.launch.py"
-    assert dict(include.kwargs["launch_arguments"]) == {"world": "trainer"}
 
 
 def test_installed_prefix_is_complete(pyproject: dict[str, Any]) -> None:

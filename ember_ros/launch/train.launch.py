@@ -5,21 +5,24 @@
 The graph and its arguments are those of walk.launch.py, with the trainer as its world.
 """
 
+from pathlib import Path
+
 from launch import LaunchDescription
-from launch.actions import IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import PathJoinSubstitution, ThisLaunchFileDir
 
 
 def generate_launch_description() -> LaunchDescription:
     """Include walk.launch.py with the trainer as its world."""
     return LaunchDescription(
         [
+            DeclareLaunchArgument(
+                "world", default_value="trainer", choices=["trainer"], description="the trainer"
+            ),
+            # A path as text: of a file that is found only when it is launched, --show-args would
+            # list no arguments.
             IncludeLaunchDescription(
-                PythonLaunchDescriptionSource(
-                    PathJoinSubstitution([ThisLaunchFileDir(), "walk.launch.py"])
-                ),
-                launch_arguments={"world": "trainer"}.items(),
-            )
+                PythonLaunchDescriptionSource(str(Path(__file__).with_name("walk.launch.py")))
+            ),
         ]
     )

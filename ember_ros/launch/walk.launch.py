@@ -3,8 +3,11 @@
     ros2 launch ember_ros walk.launch.py table:=trained.npz cycles:=500 gui:=true
 
 The trainer is the same graph with another world and one leg, which train.launch.py starts. When
-the world ends (its cycles are over, or it fails), everything stops, and the table is saved.
+one of them ends (the world because its cycles are over, any because it fails), everything stops,
+and the table is saved.
 """
+
+from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
@@ -35,18 +38,26 @@ def start(context: LaunchContext) -> list[Node]:
     argument = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     trainer = argument["world"] == "trainer"
     stage = {"stage": "train" if trainer else "walk"}
-    params_file = [argument["params_file"]] if argument["params_file"] else []
+    # Neither a shell nor rcl expands the ~ of `params_file:=~/mine.yaml`; of others, the nodes do.
+    params_file = (
+        [str(Path(argument["params_file"]).expanduser())] if argument["params_file"] else []
+    )
 
     def given(**kinds: type) -> dict[str, ParameterValue]:
         """Return the arguments of these names that are not empty, as parameters of these types."""
+        # Of the argument and not of its text: launch_ros turns nothing but substitutions into
+        # numbers.
         return {
-            name: ParameterValue(argument[name], value_type=kind)
+            name: ParameterValue(LaunchConfiguration(name), value_type=kind)
             for name, kind in kinds.items()
             if argument[name]
         }
 
-    def node(executable: str, name: str, parameters: dict[str, object], **others: object) -> Node:
-        """Return a node of this package; its parameters win over those of params_file."""
+    def node(executable: str, name: str, parameters: dict[str, object]) -> Node:
+        """Return a node of this package; its parameters win over those of params_file.
+
+        No node is of use without the others: when one ends, all do.
+        """
         return Node(
             package="ember_ros",
             executable=executable,
@@ -54,7 +65,7 @@ def start(context: LaunchContext) -> list[Node]:
             namespace=argument["namespace"],
             parameters=[*params_file, parameters] if parameters else params_file,
             output="screen",
-            **others,
+            on_exit=[Shutdown(reason=f"{name} has ended")],
         )
 
     return [
@@ -62,7 +73,6 @@ def start(context: LaunchContext) -> list[Node]:
             "sim_node",
             "sim_node",
             given(world=str, cycles=int, seed=int, gui=bool, mode=str, bag=str),
-            on_exit=[Shutdown(reason="the world has ended")],
         ),
         node("cpg_node", "cpg_node", {}),
         node("table_node", "table_node", {**stage, **given(table=str, save=str, seed=int)}),
