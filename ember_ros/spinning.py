@@ -12,13 +12,19 @@ import os
 import signal
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 TURN_S = 0.1  # the longest time until a signal is heard
+HAND_IN_S = 3.0
+"""Least wall time that a leg that ends waits for the table to take what it learnt last."""
+LINGER_S = 4.0
+"""Wall time that a node which is asked to stop serves those that still need it: longer than they
+wait for it, and less than the 5 s after which ``ros2 launch`` sends a stronger signal."""
 
 
 def prepare_environment() -> None:
@@ -86,8 +92,21 @@ def stop_signals() -> Iterator[Stop]:
             signal.signal(number, handler)
 
 
-def main_of(make: Callable[..., Spinnable], args: list[str] | None = None) -> int:
+N = TypeVar("N", bound=Spinnable)
+
+
+def main_of(
+    make: Callable[..., N],
+    args: list[str] | None = None,
+    needed: Callable[[N], bool] = lambda node: False,
+) -> int:
     """Run one node as a process: the body of every ``main``.
+
+    Args:
+        make: the node's class.
+        args: as ``rclpy.init`` takes them.
+        needed: whether others still need the node that is asked to stop. Ctrl-C in ``ros2 launch``
+            reaches all nodes at once; who is needed goes on for at most ``LINGER_S``.
 
     Returns:
         0 after a signal or when the node is done, 2 for a mistake of the user's, said in one line.
@@ -99,13 +118,16 @@ def main_of(make: Callable[..., Spinnable], args: list[str] | None = None) -> in
     from ember_ros.errors import EmberError
 
     with stop_signals() as stop:
-        node: Spinnable | None = None
+        node: N | None = None
         try:
             _init(args)
             node = make()
             executor = EventsExecutor()
             executor.add_node(node)
             while not stop.asked and not node.done:
+                executor.spin_once(timeout_sec=TURN_S)
+            deadline = time.monotonic() + LINGER_S
+            while needed(node) and time.monotonic() < deadline:
                 executor.spin_once(timeout_sec=TURN_S)
             node.finish(lambda: executor.spin_once(timeout_sec=TURN_S))
             return 0

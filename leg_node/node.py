@@ -16,7 +16,7 @@ from ember_ros import calls, topics, wire
 from ember_ros.errors import ParameterError, PushError, SignalError
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.signals import LegCommand, LegSense, Phase
-from ember_ros.spinning import main_of
+from ember_ros.spinning import HAND_IN_S, main_of
 from leg_node.inbox import Inbox
 from leg_node.module import LegModule
 from leg_node.shared import Push
@@ -24,7 +24,7 @@ from leg_node.table_file import load_table, save_table
 
 WATCH_S = 0.1  # wall time between looks at whether the table answers
 LOG_EVERY_S = 5.0
-FINISH_S = 5.0  # least wall time a leg that ends waits for the table to take what it learnt last
+WAIT_S = 2.0  # wall time after which a leg says that it cannot begin without the table
 
 
 class LegNode(Node):  # type: ignore[misc]
@@ -86,6 +86,7 @@ class LegNode(Node):  # type: ignore[misc]
         self._commands = wire.CommandWire(leg, params.gait.tick_ns)
         self._transitions = wire.TransitionWire(leg, params.gait.tick_ns)
         self._logged = -LOG_EVERY_S
+        self._say_at = time.monotonic() + WAIT_S
         # What a tick waits for: an answer of the table. None when it waits for nothing.
         self._waiting: Callable[[], None] | None = None
         self._else: Callable[[], None] | None = None
@@ -152,6 +153,8 @@ class LegNode(Node):  # type: ignore[misc]
 
     def _look(self, tick: int) -> None:
         """Begin a tick if all of it is there, and the table was met."""
+        if self.done:
+            return
         if self.module.shared and self.module.copy.version is None and not self._table_is_there():
             return  # a leg does not start from nothing while the table is still starting
         values = self._inbox.take(tick)
@@ -250,6 +253,13 @@ class LegNode(Node):  # type: ignore[misc]
 
     def _watch_table(self) -> None:
         """Go on alone when the table does not answer; knock again while it is away."""
+        if self.done:
+            return
+        now = time.monotonic()
+        if self.module.copy.version is None and now >= self._say_at and not self._table_is_there():
+            self._say_at = now + LOG_EVERY_S
+            served = (self.resolve_service_name(topic.name) for topic in (topics.PUSH, topics.PULL))
+            self.get_logger().info(f"waiting for the table_node: nobody serves {', '.join(served)}")
         if self._waiting is None:
             if self._table_away and time.monotonic() > self._deadline:
                 self._knock()
@@ -287,9 +297,10 @@ class LegNode(Node):  # type: ignore[misc]
     def finish(self, spin: Callable[[], None]) -> None:
         """Hand in what was learnt since the last epoch; wait a moment for the table to have it."""
         self.done = True
+        self._waiting = self._held = None  # a tick that is not acted on yet teaches nothing more
         copy = self.module.copy
         copy.close_epoch(self._inbox.last, early=True)
-        deadline = time.monotonic() + max(FINISH_S, self._patience)
+        deadline = time.monotonic() + max(HAND_IN_S, self._patience)
         while copy.push_due() is not None and time.monotonic() < deadline:
             if not self._push.service_is_ready():
                 break

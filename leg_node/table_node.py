@@ -204,6 +204,10 @@ class TableNode(Node):  # type: ignore[misc]
         self.get_logger().info(f"learning: {response.message}")
         return response
 
+    def is_needed(self) -> bool:
+        """Return whether a leg is there that could hand in what it has learnt."""
+        return bool(self.count_clients(topics.PUSH.name))
+
     def finish(self, spin: Callable[[], None]) -> None:
         """Merge and write the table."""
         self.shared.merge()
@@ -220,8 +224,8 @@ class TableNode(Node):  # type: ignore[misc]
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the node until a signal, then write the table."""
-    sys.exit(main_of(TableNode, args))
+    """Run the node until a signal, serve legs that end at the same time, then write the table."""
+    sys.exit(main_of(TableNode, args, TableNode.is_needed))
 
 
 if __name__ == "__main__":

@@ -524,6 +524,41 @@ def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: 
     assert len(pulls) == 1
 
 
+def test_a_leg_without_a_table_says_whom_it_waits_for(
+    ros: Ros, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Where no table_node was started, or in another namespace, it names the services it needs."""
+    monkeypatch.setattr("leg_node.node.WAIT_S", 0.0)
+    said: list[str] = []
+
+    def says(text: str) -> bool:
+        said.append(capfd.readouterr().err)
+        return text in "".join(said)
+
+    leg = make(ros, LegNode, "/robot")
+    ros.spin_until(
+        lambda: says("waiting for the table_node: nobody serves /robot/table/push"), "it says so"
+    )
+    ros.remove(leg)
+    make(ros, TableNode)
+    ros.client(topics.PULL)
+    make(ros, LegNode)
+    for _ in range(40):
+        ros.spin_once()
+    assert not says("waiting for the table_node: nobody serves /table/push")
+
+
+def test_a_table_is_needed_as_long_as_a_leg_is_there(ros: Ros) -> None:
+    """It goes on serving who could hand in; legs that share nothing are nothing to it."""
+    table = make(ros, TableNode)
+    make(ros, LegNode, "/alone", shared=False)
+    assert not table.is_needed()
+    leg = make(ros, LegNode)
+    ros.spin_until(table.is_needed, "the leg is seen")
+    ros.remove(leg)
+    ros.spin_until(lambda: not table.is_needed(), "the leg is gone")
+
+
 # -- the table's services ----------------------------------------------------------------------
 
 

@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +36,15 @@ PATIENCE_S = 30.0
 """Wall time that nodes wait where bits are compared: a busy machine must not change them."""
 STOP_S = 20.0
 """Wall time in which a process that was asked to stop must have stopped."""
+
+
+LEG_NODES = tuple(f"leg_{leg}" for leg in LEGS)
+
+
+def wire_tick(message: Any) -> int:
+    """Return the tick in the stamp of a message."""
+    stamp = message.header.stamp
+    return int((stamp.sec * 10**9 + stamp.nanosec) // Params().gait.tick_ns)
 
 
 def walk(sync_every: int = 32, **options: Any) -> Plan:
@@ -332,6 +342,38 @@ def test_no_pair_is_lost_or_doubled_when_the_table_is_killed(ros: Ros, tmp_path:
     assert not any(measured["absent_ticks"].values())
     table, _ = load_table(tmp_path / "table.npz", walk().params)
     assert table.visits.sum() == 4 * (cycles * TICKS - 1 - measured["falls"])
+
+
+@pytest.mark.parametrize("tick", [40, 90])
+def test_nothing_learnt_is_lost_when_all_are_stopped_at_once(
+    ros: Ros, tmp_path: Path, tick: int
+) -> None:
+    """Ctrl-C of ``ros2 launch``: the table serves until the legs have handed in, and all end soon.
+
+    Soon is before launch sends a stronger signal.
+    """
+    plan = walk(seed=6, policy="scripted")  # that never falls: a fall teaches nothing
+    sim = {"cycles": FOREVER, "out": "", "patience": PATIENCE_S}  # who comes late has learnt less
+    fleet = Fleet(ros, plan, tmp_path, sim_node=sim)
+    paid = {leg: ros.messages(topics.transition(leg), matched=False) for leg in LEGS}
+    try:
+        fleet.until(lambda: fleet.tick() > tick and all(paid.values()), "the robot walks")
+        for process in fleet.processes.values():
+            process.send_signal(signal.SIGINT)
+        asked = time.monotonic()
+        while any(process.poll() is None for process in fleet.processes.values()):
+            ros.spin_once()
+            assert time.monotonic() < asked + STOP_S
+        codes = {name: process.returncode for name, process in fleet.processes.items()}
+        assert codes == dict.fromkeys(codes, 0)
+    finally:
+        fleet.kill_all()
+    for name in LEG_NODES:
+        assert "lost" not in fleet.log(name).read_text()
+    table, _ = load_table(tmp_path / "table.npz", walk().params)
+    said = sum(wire_tick(heard[-1]) for heard in paid.values())
+    # Of every tick but the first; what is learnt at the end of an epoch is said once it is pushed.
+    assert 4 * tick <= said <= table.visits.sum() <= said + len(LEGS)
 
 
 def test_the_parameter_file_of_a_run_holds_every_number() -> None:
