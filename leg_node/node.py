@@ -17,13 +17,13 @@ from ember_ros.errors import ParameterError, PushError, SignalError
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.signals import LegCommand, LegSense, Phase
 from ember_ros.spinning import HAND_IN_S, main_of
+from ember_ros.throttle import Throttle
 from leg_node.inbox import Inbox
 from leg_node.module import LegModule
 from leg_node.shared import Push
 from leg_node.table_file import load_table, save_table
 
 WATCH_S = 0.1  # wall time between looks at whether the table answers
-LOG_EVERY_S = 5.0
 WAIT_S = 2.0  # wall time after which a leg says that it cannot begin without the table
 
 
@@ -85,8 +85,8 @@ class LegNode(Node):  # type: ignore[misc]
         self._senses = wire.SenseWire(leg, params.gait.tick_ns)
         self._commands = wire.CommandWire(leg, params.gait.tick_ns)
         self._transitions = wire.TransitionWire(leg, params.gait.tick_ns)
-        self._logged = -LOG_EVERY_S
-        self._say_at = time.monotonic() + WAIT_S
+        self._throttle = Throttle(lambda text: self.get_logger().warning(text))
+        self._born = time.monotonic()
         # What a tick waits for: an answer of the table. None when it waits for nothing.
         self._waiting: Callable[[], None] | None = None
         self._else: Callable[[], None] | None = None
@@ -112,10 +112,7 @@ class LegNode(Node):  # type: ignore[misc]
     def _refuse(self, why: Exception | str) -> None:
         """Count what is not used, and say so now and then."""
         self.refused += 1
-        now = time.monotonic()
-        if now - self._logged >= LOG_EVERY_S:
-            self._logged = now
-            self.get_logger().warning(f"refused ({self.refused} so far): {why}")
+        self._throttle.remind("refused", f"refused ({self.refused} so far): {why}")
 
     def _hear_joints(self, data: bytes) -> None:
         self._hear("joints", data, self._senses.read_joints)
@@ -255,11 +252,16 @@ class LegNode(Node):  # type: ignore[misc]
         """Go on alone when the table does not answer; knock again while it is away."""
         if self.done:
             return
-        now = time.monotonic()
-        if self.module.copy.version is None and now >= self._say_at and not self._table_is_there():
-            self._say_at = now + LOG_EVERY_S
+        self._throttle.flush()
+        if (
+            self.module.copy.version is None
+            and time.monotonic() - self._born >= WAIT_S
+            and not self._table_is_there()
+        ):
             served = (self.resolve_service_name(topic.name) for topic in (topics.PUSH, topics.PULL))
-            self.get_logger().info(f"waiting for the table_node: nobody serves {', '.join(served)}")
+            self._throttle.remind(
+                "waiting", f"waiting for the table_node: nobody serves {', '.join(served)}"
+            )
         if self._waiting is None:
             if self._table_away and time.monotonic() > self._deadline:
                 self._knock()
@@ -273,9 +275,10 @@ class LegNode(Node):  # type: ignore[misc]
                 return
             self._table_away = True
             self._pushing = None
-            self.get_logger().warning(
+            self._throttle.say(
+                "table",
                 f"the table does not answer within {self._patience} s: "
-                "going on alone, keeping what is learnt for it"
+                "going on alone, keeping what is learnt for it",
             )
             self._go_on()
 
@@ -292,7 +295,7 @@ class LegNode(Node):  # type: ignore[misc]
     def _table_is_back(self) -> None:
         if self._table_away:
             self._table_away = False
-            self.get_logger().info("the table is back")
+            self._throttle.say("table", "the table is back")
 
     def finish(self, spin: Callable[[], None]) -> None:
         """Hand in what was learnt since the last epoch; wait a moment for the table to have it."""

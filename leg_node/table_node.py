@@ -18,6 +18,7 @@ from ember_ros.errors import EmberError, PushError, TableError
 from ember_ros.params import as_dict, cells_sha256
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.spinning import main_of
+from ember_ros.throttle import Throttle
 from leg_node.journal import MOST_PUSHES, Journal, from_json, to_json
 from leg_node.shared import SharedTable
 from leg_node.table import Table, empty_table
@@ -69,6 +70,7 @@ class TableNode(Node):  # type: ignore[misc]
         else:
             self.get_logger().info("what is learnt will be lost: no -p save:=FILE.npz was given")
         self.refused = 0
+        self._throttle = Throttle(lambda text: self.get_logger().warning(text))
         topics.PUSH.serve(self, self._push)
         topics.PULL.serve(self, self._pull)
         topics.SAVE.serve(self, self._save_now)
@@ -128,7 +130,7 @@ class TableNode(Node):  # type: ignore[misc]
 
     def _refuse(self, why: EmberError) -> str:
         self.refused += 1
-        self.get_logger().warning(f"refused ({self.refused} so far): {why}")
+        self._throttle.remind("refused", f"refused ({self.refused} so far): {why}")
         return str(why)
 
     def _push(

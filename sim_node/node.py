@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,12 +25,12 @@ from ember_ros.report.recorder import Recorder
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.signals import LegCommand, Phase, Transition
 from ember_ros.spinning import main_of
+from ember_ros.throttle import SAY_S, Throttle
 from sim_node.world import World
 
 WATCH_S = 0.05  # wall time between looks at who is late
 ANSWER_S = 5.0  # least wall time to wait for nodes to say what they were told
 AHEAD = 24  # ticks ahead of a recorder: Fast DDS holds 512 messages between two processes
-SAY_S = 5.0  # wall time between two lines of the log on one matter
 
 
 class SimNode(Node):  # type: ignore[misc]
@@ -111,7 +112,10 @@ class SimNode(Node):  # type: ignore[misc]
         self._held = False  # whether the next tick waits for the recorder
         self._recorded: int | None = None  # how far it is; None where nobody is waited for
         self._since = time.monotonic()  # when the present tick was published, or held
-        self._said: dict[str, float] = {}
+        self._throttle = Throttle(lambda text: self.get_logger().warning(text))
+        self._late: Counter[str] = Counter()  # ticks without a leg since lateness was told last
+        self._late_since = self._since  # when that was
+        self._was_late = False
         self._falls = -1
 
         self._clock_publisher = topics.CLOCK.publish(self)
@@ -147,14 +151,7 @@ class SimNode(Node):  # type: ignore[misc]
     def _refuse(self, why: Exception | str) -> None:
         """Count what is not used, and say so now and then."""
         self.refused += 1
-        self._say("refused", f"refused ({self.refused} so far): {why}")
-
-    def _say(self, matter: str, text: str) -> None:
-        """Log a warning unless this matter was spoken of just now."""
-        now = time.monotonic()
-        if now - self._said.get(matter, -SAY_S) >= SAY_S:
-            self._said[matter] = now
-            self.get_logger().warning(text)
+        self._throttle.remind("refused", f"refused ({self.refused} so far): {why}")
 
     def _hear_phase(self, data: bytes) -> None:
         if self.done:
@@ -185,9 +182,10 @@ class SimNode(Node):  # type: ignore[misc]
             if command.tick > self._tick:
                 self._refuse(f"{where}: tick {command.tick} is not yet, now is {self._tick}")
                 return
-            if leg in self._absent:  # late or not, it lives: wait for it from now on
+            if leg in self._absent and not self._realtime:
+                # Late or not, it lives: wait for it from now on.
                 self._absent.discard(leg)
-                self.get_logger().info(f"{leg} is back at tick {self._tick}")
+                self._throttle.say(leg, f"{leg} is back at tick {self._tick}")
                 self._diagnose()
             if command.tick == self._tick and self._started:
                 self._commands[leg] = command
@@ -325,7 +323,7 @@ class SimNode(Node):  # type: ignore[misc]
         missing = self._missing()
         if missing:
             if time.monotonic() - self._since > self._patience:
-                self._say("start", f"waiting for {', '.join(missing)}")
+                self._throttle.remind("start", f"waiting for {', '.join(missing)}")
             return
         if not self._recorders_are_ready():
             return
@@ -340,6 +338,7 @@ class SimNode(Node):  # type: ignore[misc]
             if subscription.handle.get_publisher_count()
         }
         self._started = True
+        self._tell_the_beginning()
         self._next()
 
     def _recorders_are_ready(self) -> bool:
@@ -350,7 +349,7 @@ class SimNode(Node):  # type: ignore[misc]
         late = now - self._asked >= max(self._patience, ANSWER_S)
         met = self.count_publishers(topics.RECORDED.name) and not late
         if self._recorded is None and (met or self._wants_recorder):
-            self._say("recorder", "waiting for the recorder")
+            self._throttle.remind("recorder", "waiting for the recorder")
             return False
         return self._bag is None or self._begin_bag(self._bag, late)
 
@@ -377,6 +376,7 @@ class SimNode(Node):  # type: ignore[misc]
 
     def _watch(self) -> None:
         """In lockstep: begin when all are there; declare absent who is late."""
+        self._throttle.flush()
         if not self._started:
             self._start_if_all_there()
             return
@@ -393,10 +393,12 @@ class SimNode(Node):  # type: ignore[misc]
             self._recorded = None
             self._next()
         elif self._phase is None:
-            self._say("phase", f"the phase of tick {self._tick} is missing: standing still")
+            self._throttle.remind(
+                "phase", f"the phase of tick {self._tick} is missing: standing still"
+            )
             self._diagnose()
         elif not self._commands:
-            self._say("legs", f"no leg answers at tick {self._tick}: standing still")
+            self._throttle.remind("legs", f"no leg answers at tick {self._tick}: standing still")
             self._diagnose()
         else:
             for leg in self.legs:
@@ -404,27 +406,58 @@ class SimNode(Node):  # type: ignore[misc]
                     self._telling.discard(leg)  # it answers, and says no more what it was paid
                 elif leg not in self._commands and leg not in self._absent:
                     self._absent.add(leg)
-                    self.get_logger().warning(
+                    self._throttle.say(
+                        leg,
                         f"{leg} did not answer within {self._patience} s at tick {self._tick}: "
-                        "absent, its joints are held still"
+                        "absent, its joints are held still",
                     )
             self._diagnose()
             self._step_if_complete()
 
     def _every_tick(self) -> None:
         """In real time: step with whatever is there."""
+        self._throttle.flush()
         if not self._started:
             self._start_if_all_there()
         elif self._phase is None:
-            self._say("phase", f"the phase of tick {self._tick} is missing: standing still")
+            self._throttle.remind(
+                "phase", f"the phase of tick {self._tick} is missing: standing still"
+            )
         else:
-            late = {leg for leg in self.legs if leg not in self._commands}
-            if late - self._absent:
-                self._say("late", f"{', '.join(sorted(late))} late at tick {self._tick}")
-            self._absent = late
+            self._absent = {leg for leg in self.legs if leg not in self._commands}
+            self._late.update(self._absent)
+            self._tell_lateness()
             self._step()
 
+    def _tell_lateness(self) -> None:
+        """In real time: say now and then how often legs were late, and once that none is any more.
+
+        A leg that misses every other tick comes and goes a thousand times a minute.
+        """
+        now = time.monotonic()
+        if now - self._late_since < SAY_S or not (self._late or self._was_late):
+            return
+        if self._late:
+            late = ", ".join(f"{leg} {ticks}" for leg, ticks in sorted(self._late.items()))
+            self.get_logger().warning(f"ticks held still for want of a command in time: {late}")
+        else:
+            self.get_logger().info("all legs are in time again")
+        self._was_late = bool(self._late)
+        self._late.clear()
+        self._late_since = now
+
     # -- telling -----------------------------------------------------------------------------
+
+    def _tell_the_beginning(self) -> None:
+        cycles = (
+            "until stopped" if self._last == math.inf else f"{self._last // self._ticks} cycles"
+        )
+        mode = "realtime" if self._realtime else "lockstep"
+        self.get_logger().info(f"{self._kind} begins: {', '.join(self.legs)}; {mode}, {cycles}")
+
+    def _tell_the_end(self) -> None:
+        cycles, falls = self._tick // self._ticks, self.world.body().falls
+        self.get_logger().info(f"{self._kind} ended after {cycles} cycles, {falls} falls")
 
     def _diagnose(self) -> None:
         """Publish who is absent and what was refused."""
@@ -461,6 +494,8 @@ class SimNode(Node):  # type: ignore[misc]
             BagError: the bag could not be written to its end.
         """
         self.done, self._started = True, False
+        if self._tick:
+            self._tell_the_end()
         self.recorder.finish(self.world.observe(), self.world.body())
         if self._failed is not None:
             raise self._failed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
@@ -694,6 +695,46 @@ def test_in_real_time_nobody_is_waited_for(ros: Ros) -> None:
         "diagnostics say who is absent",
     )
     assert robot.sim.recorder.summary()["absent_ticks"]["front_right"] >= 62
+
+
+def test_in_real_time_lateness_is_counted_and_told_now_and_then(
+    ros: Ros, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A leg that is gone and comes back is a line a window, not a line a tick."""
+    monkeypatch.setattr("sim_node.node.SAY_S", 0.5)
+    said: list[str] = []
+
+    def log() -> list[str]:
+        said.append(capfd.readouterr().err)
+        return "".join(said).splitlines()
+
+    def told(text: str) -> list[str]:
+        return [line for line in log() if text in line]
+
+    plan = dataclasses.replace(walk(), params=params(gait__period=1.0))
+    robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000})
+    robot.walk_to(5)
+    robot.kill("leg_front_right")
+    ros.spin_until(lambda: len(told("command in time: ")) > 1, "who is late is told")
+    robot.start("leg_front_right")
+    ros.spin_until(lambda: told("all legs are in time again"), "that nobody is late any more")
+    counts = [re.search(r"front_right (\d+)", line) for line in told("command in time: ")]
+    assert any(count and int(count[1]) > 1 for count in counts)
+    assert not told("is back")
+
+
+def test_a_walk_says_that_it_begins_and_what_came_of_it(
+    ros: Ros, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Success is not silent: one line each, with the world, the legs, the mode and the cycles."""
+    with closing(Graph(BRIEF, patience=PATIENCE_S, context=ros.context)) as graph:
+        spun(graph)
+        falls = graph.sim.world.body().falls
+    lines = capfd.readouterr().err.splitlines()
+    (began,) = (line for line in lines if "walker begins" in line)
+    assert began.endswith(f"walker begins: {', '.join(LEGS)}; lockstep, 8 cycles")
+    (ended,) = (line for line in lines if "walker ended" in line)
+    assert ended.endswith(f"walker ended after 8 cycles, {falls} falls")
 
 
 def test_in_real_time_the_world_stands_still_without_a_phase_and_goes_on_with_one(
