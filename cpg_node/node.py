@@ -12,10 +12,11 @@ from cpg_node.cpg import FixedPeriod
 from ember_ros import topics, wire
 from ember_ros.errors import SignalError
 from ember_ros.ros_params import declare_params
+from ember_ros.seat import Seated
 from ember_ros.spinning import main_of
 
 
-class CpgNode(Node):  # type: ignore[misc]
+class CpgNode(Seated, Node):  # type: ignore[misc]
     """Hears the clock, says the phase.
 
     Subscribes: ``clock`` (rosgraph_msgs/Clock).
@@ -23,15 +24,20 @@ class CpgNode(Node):  # type: ignore[misc]
     Parameters: ``gait.*``.
     """
 
+    GROUPS = ("gait",)
+    OPTIONS = ()
+
     def __init__(self, **kwargs: Any) -> None:
         """Make the node; ``kwargs`` go to rclpy's ``Node``.
 
         Raises:
             ParameterError: a parameter is unknown or out of range.
+            TakenError: there is another CPG in this namespace.
         """
         super().__init__("cpg_node", automatically_declare_parameters_from_overrides=True, **kwargs)
         self.done = False
-        params = declare_params(self, ("gait",))
+        params = declare_params(self, self.GROUPS)
+        self.take_seat(topics.PHASE)
         self._oscillator = FixedPeriod(params.gait)
         self._said: float | None = None
         self._publisher = topics.PHASE.publish(self)

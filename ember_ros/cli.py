@@ -17,7 +17,7 @@ from rich.table import Table as Grid
 
 import ember_ros
 from ember_ros.bag.storage import BagOptions
-from ember_ros.cli_bags import COMMANDS, INTERRUPTED, PARAMS, console
+from ember_ros.cli_bags import COMMANDS, INTERRUPTED, NAMESPACE, PARAMS, console
 from ember_ros.errors import EmberError, ParameterError
 from ember_ros.experiments import lab, relearn
 from ember_ros.experiments.reproduction import ALL, DOCUMENT, RESULTS, STUDIES, document, read
@@ -90,6 +90,7 @@ def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
                 help="loop: no ROS, fastest. graph: all nodes in this process. processes: one "
                 "process a node. All three end with the same bits.",
             ),
+            NAMESPACE,
             click.option(
                 "--policy",
                 type=click.Choice(["learned", "scripted", "random"]),
@@ -169,6 +170,7 @@ def _run(
     learning: bool | None,
     policy: str,
     way: str,
+    namespace: str,
     force: bool,
     bag: Path | None,
     split_mb: float,
@@ -193,7 +195,7 @@ def _run(
         )
     with stop_signals() as stop:
         into = BagOptions(bag, split_mb, split_s) if bag else None
-        record, summary = _show(plan, way, out, stop, into)
+        record, summary = _show(plan, way, out, stop, into, namespace)
         what = "trained" if world == "trainer" else "walked"
         drawn = _draw(out / PICTURE, plan, **{what: record})
     console.print(_grid({what: summary}))
@@ -207,12 +209,17 @@ def _run(
 
 
 def _show(
-    plan: Plan, way: str, out: Path, stop: Stop, bag: BagOptions | None = None
+    plan: Plan,
+    way: str,
+    out: Path,
+    stop: Stop,
+    bag: BagOptions | None = None,
+    namespace: str = "",
 ) -> tuple[Any, dict[str, Any]]:
     """Run a plan behind a progress bar."""
     label = "walking" if plan.world == "walker" else "training"
     with _progress(f"{label} ({way})", plan.cycles, stop) as go_on:
-        return run(plan, way, out, go_on, shlex.join(["ember", *sys.argv[1:]]), bag)
+        return run(plan, way, out, go_on, shlex.join(["ember", *sys.argv[1:]]), bag, namespace)
 
 
 def _draw(file: Path, plan: Plan, **records: Any) -> bool:
@@ -286,6 +293,7 @@ def _grid(summaries: dict[str, dict[str, Any]]) -> Grid:
 @click.option("--cycles", type=int, default=6000, show_default=True, help="On the trainer.")
 @click.option("--walk-cycles", type=int, default=300, show_default=True, help="On the body.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of both runs.")
+@NAMESPACE
 @PARAMS
 @click.option(
     "--out",
@@ -295,7 +303,12 @@ def _grid(summaries: dict[str, dict[str, Any]]) -> Grid:
     help="Folder for both runs and demo.png; an earlier demo there is replaced.",
 )
 def demo(
-    cycles: int, walk_cycles: int, seed: int, params_files: tuple[Path, ...], out: Path
+    cycles: int,
+    walk_cycles: int,
+    seed: int,
+    namespace: str,
+    params_files: tuple[Path, ...],
+    out: Path,
 ) -> None:
     """Train a leg, walk on four on the graph, draw it all.
 
@@ -311,7 +324,7 @@ def demo(
         trained, first = _show(training, "loop", out / "train", stop)
         summaries, records = {"one leg, trainer": first}, {"trained": trained}
         if not stop.asked:
-            walked, second = _show(walking, "graph", out / "walk", stop)
+            walked, second = _show(walking, "graph", out / "walk", stop, namespace=namespace)
             summaries["four legs, body"], records["walked"] = second, walked
         drawn = _draw(out / "demo.png", training, **records)
     console.print(_grid(summaries))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import select
 import shlex
 import sys
@@ -14,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Grid
 
@@ -28,6 +28,7 @@ from ember_ros.params import SPECS, replace
 from ember_ros.params_file import config_names, dump_params, load_params
 from ember_ros.run import TABLE, no_ros
 from ember_ros.spinning import prepare_environment, stop_signals
+from ember_ros.terminal import Terminal
 from leg_node.table_file import load_table, save_table
 
 DIFFERENT = 1
@@ -37,7 +38,7 @@ INTERRUPTED = 130
 LOOK_S = 1.0
 """Wall time that a player looks whether somebody else is on the topics."""
 
-console = Console(highlight=False, markup=False)
+console = Terminal(highlight=False, markup=False)
 
 PARAMS = click.option(
     "--params",
@@ -47,6 +48,27 @@ PARAMS = click.option(
     help="A ROS parameter file (section /**; `ember params` prints one), or the name of one that "
     f"comes with the package: {', '.join(config_names())}. May be given more than once; what a "
     "later one says wins.",
+)
+
+
+class _Namespace(click.ParamType):  # type: ignore[type-arg, unused-ignore]
+    """The name of a robot: words as ROS has them, with slashes between them."""
+
+    name = "namespace"
+
+    def convert(self, value: str, param: Any, ctx: Any) -> str:
+        """Return the namespace without slashes around it."""
+        name = value.strip("/")
+        if name and not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", name, re.ASCII):
+            self.fail(f"{value!r} is no namespace; letters, digits and _ would be right: robot_2")
+        return name
+
+
+NAMESPACE = click.option(
+    "--namespace",
+    type=_Namespace(),
+    default="",
+    help="Of all nodes, as robot_2: beside another robot on the same graph.",
 )
 _BAG = click.argument("bag", type=click.Path(path_type=Path))
 _NAMESPACE = click.option("--namespace", help="Of the robot, where the bag holds more than one.")
@@ -82,6 +104,14 @@ def _grid(lines: list[tuple[str, Any]]) -> Grid:
     return grid
 
 
+def _robot(bag: Path, namespace: str | None, way: str) -> Bag:
+    """Open a bag at one of its robots; a graph runs its only one in whatever namespace is asked."""
+    if way == "graph" and namespace is not None:
+        with contextlib.suppress(BagError):  # more than one, or said below
+            return Bag(bag)
+    return Bag(bag, namespace=namespace)
+
+
 @click.command("replay")
 @_BAG
 @click.option(
@@ -99,7 +129,11 @@ def _grid(lines: list[tuple[str, Any]]) -> Grid:
     show_default=True,
     help="Times real time; 0: as fast as can be.",
 )
-@_NAMESPACE
+@click.option(
+    "--namespace",
+    type=_Namespace(),
+    help="Of the robot, where the bag holds more than one; with --on graph, of the nodes as well.",
+)
 @click.option(
     "--table", "table_file", type=click.Path(path_type=Path), help="Write its table here."
 )
@@ -116,7 +150,7 @@ def replay_command(
     ember replay bags/walk
     ember replay bags/walk --on graph --rate 1
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
-    with stop_signals() as stop, Bag(bag, namespace=namespace) as opened:
+    with stop_signals() as stop, _robot(bag, namespace, way) as opened:
         from ember_ros import topics
 
         with _bar(f"replaying ({way})", opened.messages(topics.PHASE)) as update:
@@ -127,7 +161,7 @@ def replay_command(
                 return not stop.asked
 
             try:
-                done = replay(opened, on=way, rate=rate, go_on=go_on)
+                done = replay(opened, on=way, rate=rate, namespace=namespace or "", go_on=go_on)
             except ModuleNotFoundError as error:
                 raise no_ros(error) from error
             update(done.ticks, f"{done.ticks} ticks")
@@ -255,12 +289,15 @@ def _space() -> Iterator[Callable[[], bool]]:
     def pressed() -> bool:
         if not select.select([keys], [], [], 0.0)[0]:
             return False
-        return os.read(keys, 64).count(b" ") % 2 == 1
+        with contextlib.suppress(OSError):  # the terminal is gone
+            return os.read(keys, 64).count(b" ") % 2 == 1
+        return False
 
     try:
         yield pressed
     finally:
-        termios.tcsetattr(keys, termios.TCSADRAIN, before)
+        with contextlib.suppress(termios.error):  # the same
+            termios.tcsetattr(keys, termios.TCSADRAIN, before)
 
 
 # -- learning again --------------------------------------------------------------------------

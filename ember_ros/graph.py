@@ -10,7 +10,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,10 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ember_ros.bag.storage import BagOptions
+from ember_ros.children import STOP_S, child_of
 from ember_ros.errors import EmberError, GraphError
 from ember_ros.params import as_dict
 from ember_ros.params_file import dump_params
 from ember_ros.plan import Plan
+from ember_ros.seat import TAKEN, Seat, TakenError, domain, make_sure, run_seat
 from ember_ros.spinning import TURN_S, prepare_environment
 
 if TYPE_CHECKING:
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
 PATIENCE_S = 60.0
 """Wall time a graph started here waits for anybody: a busy machine must not change its bits."""
-STOP_S = 20.0
-"""Wall time a process may take to stop before it is killed."""
 
 
 def node_options(
@@ -105,6 +104,7 @@ class Graph:
 
         Raises:
             EmberError: a parameter or the table cannot be used.
+            TakenError: another robot is running in this namespace.
         """
         prepare_environment()
         import rclpy
@@ -132,8 +132,10 @@ class Graph:
             )
         self._context = context
         self._executor = EventsExecutor(context=context)
+        self._seat: Seat | None = None
         makers = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
         try:
+            self._seat = run_seat(context.get_domain_id(), namespace)
             for name, options in node_options(plan, out, patience, bag).items():
                 make = makers.get(name, LegNode)
                 given = {
@@ -164,7 +166,14 @@ class Graph:
         self._executor.spin_once(timeout_sec=timeout)
 
     def run(self, go_on: Callable[[], bool] = lambda: True) -> None:
-        """Run until the plan's cycles are done or ``go_on`` says no, then finish every node."""
+        """Run until the plan's cycles are done or ``go_on`` says no, then finish every node.
+
+        Raises:
+            TakenError: somebody else on the graph is what one of the nodes is; nothing has run.
+            EmberError: a node could not end well; the others have.
+        """
+        if self._own_context:  # or the caller knows who is on the graph
+            make_sure(list(self.nodes.values()), go_on)
         while not self.sim.done and go_on():
             self.spin_once()
         self.finish()
@@ -190,6 +199,8 @@ class Graph:
             self._executor.remove_node(node)  # or it would keep their endpoints alive
             node.destroy_node()
         self.nodes.clear()
+        if self._seat is not None:
+            self._seat.leave()
         self._executor.shutdown()
         if self._own_context:
             self._context.try_shutdown()
@@ -225,8 +236,12 @@ class Processes:
             namespace: of all nodes.
             patience: wall seconds to wait for anybody; each node's own default for None.
             bag: where to record the run to; nowhere for None.
+
+        Raises:
+            TakenError: another run is going on in this namespace.
         """
         prepare_environment()
+        self._seat = run_seat(domain(), namespace)
         self.out = out
         self._logs = out / "log"
         self._logs.mkdir(parents=True, exist_ok=True)
@@ -242,7 +257,7 @@ class Processes:
             raise
 
     def _start(self, name: str, options: dict[str, Any], params: Path, namespace: str) -> None:
-        command = [sys.executable, "-m", MODULES.get(name, LEG_MODULE), "--ros-args"]
+        command = [*child_of(MODULES.get(name, LEG_MODULE)), "--ros-args"]
         command += ["--params-file", str(params), "-r", f"__node:={name}"]
         if namespace:
             command += ["-r", f"__ns:=/{namespace.strip('/')}"]
@@ -253,7 +268,7 @@ class Processes:
             # A session of its own: Ctrl-C is for us, and we tell them in the right order.
             self.processes[name] = subprocess.Popen(
                 command,
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
@@ -278,6 +293,8 @@ class Processes:
     def _died(self, name: str, process: subprocess.Popen[bytes]) -> None:
         log = self._logs / f"{name}.txt"
         last = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-3:]
+        if process.returncode == TAKEN:
+            raise TakenError(last[-1].removeprefix("error: "))
         raise GraphError(
             f"{name} ended with code {process.returncode} before its time; its log {log} ends "
             f"with: {' / '.join(last) or 'nothing'}"
@@ -292,6 +309,7 @@ class Processes:
                     self.processes[name].send_signal(signal.SIGINT)
             for name in names:
                 self._reap(name)
+        self._seat.leave()
 
     def _reap(self, name: str) -> None:
         process = self.processes[name]
@@ -300,6 +318,8 @@ class Processes:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+        assert process.stdin is not None
+        process.stdin.close()
 
 
 @contextmanager

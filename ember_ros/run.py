@@ -45,7 +45,13 @@ GoOn = Callable[[int, int], bool]
 
 
 def run(
-    plan: Plan, way: str, out: Path, go_on: GoOn, command: str, bag: BagOptions | None = None
+    plan: Plan,
+    way: str,
+    out: Path,
+    go_on: GoOn,
+    command: str,
+    bag: BagOptions | None = None,
+    namespace: str = "",
 ) -> tuple[Record, dict[str, Any]]:
     """Run a plan to its end, or until ``go_on`` says no, and write what came of it.
 
@@ -58,6 +64,7 @@ def run(
         go_on: progress and stop.
         command: what was typed, for the summary.
         bag: where to record the run to; nowhere for None.
+        namespace: of all nodes, and of the robot in the bag.
 
     Returns:
         The record and the summary.
@@ -79,7 +86,7 @@ def run(
         old.append(TABLE)  # or the table node would go on from it
     for name in old:
         (out / name).unlink(missing_ok=True)
-    {"loop": _loop, "graph": _graph, "processes": _processes}[way](plan, out, go_on, bag)
+    {"loop": _loop, "graph": _graph, "processes": _processes}[way](plan, out, go_on, bag, namespace)
     record = load_record(out)
     ticks = plan.cycles * plan.params.gait.ticks
     summary = {
@@ -104,7 +111,7 @@ def run(
     return record, summary
 
 
-def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> None:
+def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str) -> None:
     from ember_ros.loop import Loop
     from ember_ros.observer import Observer
 
@@ -115,7 +122,7 @@ def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> None:
     if bag is not None:
         writer = Scribe(bag)
         card = Card.of_plan(plan, loop.shared.table, versions())
-        recording = Recording(writer, card, loop.shared.table)
+        recording = Recording(writer, card, loop.shared.table, namespace=namespace)
         observers.append(recording)
     try:
         for cycle in range(plan.cycles):
@@ -134,11 +141,11 @@ def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> None:
         loop.close()
 
 
-def _graph(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> None:
+def _graph(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str) -> None:
     try:
         from ember_ros.graph import Graph
 
-        graph = Graph(plan, out, bag=bag)
+        graph = Graph(plan, out, bag=bag, namespace=namespace)
     except ModuleNotFoundError as error:
         raise no_ros(error) from error
     try:
@@ -148,7 +155,7 @@ def _graph(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> None:
         graph.close()
 
 
-def _processes(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> None:
+def _processes(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str) -> None:
     try:
         import rclpy  # noqa: F401  say it here, not in seven logs
 
@@ -156,7 +163,7 @@ def _processes(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None) -> No
     except ModuleNotFoundError as error:
         raise no_ros(error) from error
     tally = _Tally(out / CYCLES)
-    with processes(plan, out, bag=bag) as running:
+    with processes(plan, out, bag=bag, namespace=namespace) as running:
         running.wait(lambda: go_on(*tally.read()))
 
 

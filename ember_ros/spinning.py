@@ -8,16 +8,20 @@ learnt, are left out.
 
 from __future__ import annotations
 
+import inspect
+import itertools
 import os
+import re
 import signal
+import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 TURN_S = 0.1  # the longest time until a signal is heard
 HAND_IN_S = 3.0
@@ -44,6 +48,10 @@ def prepare_environment() -> None:
 class Spinnable(Protocol):
     """What every node here has besides being an rclpy node."""
 
+    GROUPS: ClassVar[tuple[str, ...]]
+    """The groups of parameters that it has."""
+    OPTIONS: ClassVar[tuple[str, ...]]
+    """Its parameters besides."""
     done: bool
     """True once the node has nothing more to do."""
 
@@ -68,8 +76,11 @@ def _init(args: list[str] | None) -> None:
         raise ParameterError(f"these ROS arguments cannot be used: {error}") from error
 
 
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
 class Stop:
-    """Whether SIGINT or SIGTERM came."""
+    """Whether one of ``STOPS`` came."""
 
     def __init__(self) -> None:
         """Begin unasked."""
@@ -78,13 +89,31 @@ class Stop:
     def ask(self, number: int = 0, frame: FrameType | None = None) -> None:
         """Ask everybody who looks to come to an end."""
         self.asked = True
+        if number == signal.SIGHUP:
+            let_go_of_terminal()
+
+
+def let_go_of_terminal() -> None:
+    """Have what is said go nowhere, where it went to a terminal that is gone.
+
+    It could not be written, and what is learnt must be saved all the same.
+    """
+    with open(os.devnull, "r+b", buffering=0) as nowhere:
+        for each in (0, 1, 2):
+            with suppress(OSError):  # closed
+                if stat.S_ISCHR(os.fstat(each).st_mode) and not os.isatty(each):
+                    os.dup2(nowhere.fileno(), each)
 
 
 @contextmanager
 def stop_signals() -> Iterator[Stop]:
-    """Turn SIGINT and SIGTERM into a flag for as long as the block lasts."""
+    """Turn SIGINT, SIGTERM and SIGHUP into a flag for as long as the block lasts.
+
+    A SIGHUP that is ignored, as below ``nohup``, stays ignored.
+    """
     stop = Stop()
-    before = {s: signal.signal(s, stop.ask) for s in (signal.SIGINT, signal.SIGTERM)}
+    ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    before = {s: signal.signal(s, stop.ask) for s in STOPS if not (ignored and s == signal.SIGHUP)}
     try:
         yield stop
     finally:
@@ -95,8 +124,63 @@ def stop_signals() -> Iterator[Stop]:
 N = TypeVar("N", bound=Spinnable)
 
 
+def _own(args: Sequence[str]) -> list[str]:
+    """Return the arguments before those for ROS."""
+    return list(itertools.takewhile(lambda each: each != "--ros-args", args))
+
+
+def _executable(make: type[Spinnable]) -> str:
+    """Return the name that the node's executable has: LegNode is in leg_node."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", make.__name__).lower()
+
+
+def usage(make: type[Spinnable]) -> str:
+    """Return what ``--help`` says of a node: what it is and which parameters it has."""
+    from ember_ros.ros_params import OPTIONS
+
+    name = _executable(make)
+    lines = [
+        f"usage: {name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r __ns:=/NAMESPACE]"
+        " [-r __node:=NAME]]",
+        "",
+        inspect.cleandoc(make.__doc__ or "").replace("``", ""),
+    ]
+    if make.OPTIONS:
+        lines += ["", "with these defaults:"]
+    for option in make.OPTIONS:
+        default, doc, choices = OPTIONS[option]
+        told = f" ({', '.join(choices)})" if choices else ""
+        lines.append(f"  {option + ':=' + _yaml(default):24} {doc}{told}")
+    if make.GROUPS:
+        groups = ", ".join(f"{group}.*" for group in make.GROUPS)
+        lines += ["", f"`ember params --describe` tells unit, range and meaning of {groups}."]
+    return "\n".join(lines)
+
+
+def _yaml(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value) or "''"
+
+
+def _refuse_arguments(make: type[Spinnable], args: list[str] | None) -> None:
+    """Refuse what is neither for ROS nor known here.
+
+    Raises:
+        ParameterError: there is such an argument.
+    """
+    from rclpy.utilities import remove_ros_args
+
+    from ember_ros.errors import ParameterError
+
+    given = ["", *args] if args is not None else sys.argv
+    if unknown := remove_ros_args(given)[1:]:
+        raise ParameterError(
+            f"{_executable(make)} has no argument {unknown[0]!r}; parameters are given as "
+            "--ros-args -p NAME:=VALUE, and --help tells them"
+        )
+
+
 def main_of(
-    make: Callable[..., N],
+    make: type[N],
     args: list[str] | None = None,
     needed: Callable[[N], bool] = lambda node: False,
 ) -> int:
@@ -109,19 +193,26 @@ def main_of(
             reaches all nodes at once; who is needed goes on for at most ``LINGER_S``.
 
     Returns:
-        0 after a signal or when the node is done, 2 for a mistake of the user's, said in one line.
+        0 after a signal or when the node is done, 2 for a mistake of the user's, 3 where another
+        node is already what this one was to be; both are said in one line.
     """
+    if not {"-h", "--help"}.isdisjoint(_own(sys.argv[1:] if args is None else args)):
+        print(usage(make))
+        return 0
     prepare_environment()
     import rclpy
     from rclpy.experimental.events_executor import EventsExecutor
 
     from ember_ros.errors import EmberError
+    from ember_ros.seat import TAKEN, TakenError, make_sure
 
     with stop_signals() as stop:
         node: N | None = None
         try:
             _init(args)
+            _refuse_arguments(make, args)
             node = make()
+            make_sure([node], lambda: not stop.asked)
             executor = EventsExecutor()
             executor.add_node(node)
             while not stop.asked and not node.done:
@@ -133,7 +224,7 @@ def main_of(
             return 0
         except EmberError as error:
             print(f"error: {error}", file=sys.stderr)
-            return 2
+            return TAKEN if isinstance(error, TakenError) else 2
         finally:
             if node is not None:
                 node.destroy_node()

@@ -228,7 +228,7 @@ class JointWire:
                 f"{where}: joint names {names}; each of {missing} once would be right, in any order"
             )
         places = [names.index(name) for name in self.names]
-        numbers = []
+        numbers: list[tuple[float, ...]] = []
         for field in (self.first, self.second):
             if not field:
                 numbers.append(())

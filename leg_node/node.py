@@ -15,6 +15,7 @@ from rclpy.task import Future
 from ember_ros import calls, topics, wire
 from ember_ros.errors import ParameterError, PushError, SignalError
 from ember_ros.ros_params import declare_options, declare_params
+from ember_ros.seat import Seated
 from ember_ros.signals import LegCommand, LegSense, Phase
 from ember_ros.spinning import HAND_IN_S, main_of
 from ember_ros.throttle import Throttle
@@ -27,7 +28,7 @@ WATCH_S = 0.1  # wall time between looks at whether the table answers
 WAIT_S = 2.0  # wall time after which a leg says that it cannot begin without the table
 
 
-class LegNode(Node):  # type: ignore[misc]
+class LegNode(Seated, Node):  # type: ignore[misc]
     """One leg: hears its own senses and the phase, calls the table, says its own command.
 
     Subscribes: ``<leg>/joint_states``, ``<leg>/contact`` (sensor_msgs/JointState), ``cpg/phase``
@@ -40,24 +41,24 @@ class LegNode(Node):  # type: ignore[misc]
     ``save`` for a leg that does not share.
     """
 
+    GROUPS = ("gait", "leg", "state", "reward", "train", "walk")
+    OPTIONS = (
+        "leg", "stage", "seed", "policy", "learning", "shared", "table", "save", "table_patience",
+    )  # fmt: skip
+
     def __init__(self, **kwargs: Any) -> None:
         """Make the node; ``kwargs`` go to rclpy's ``Node``.
 
         Raises:
             ParameterError: a parameter is unknown or out of range, or there is no such leg.
             TableError: the file ``table`` cannot be used.
+            TakenError: there is another such leg in this namespace.
         """
         kwargs.setdefault("node_name", "leg_node")
         super().__init__(automatically_declare_parameters_from_overrides=True, **kwargs)
         self.done = False
-        params = declare_params(self, ("gait", "leg", "state", "reward", "train", "walk"))
-        options = declare_options(
-            self,
-            (
-                "leg", "stage", "seed", "policy", "learning", "shared", "table", "save",
-                "table_patience",
-            ),
-        )  # fmt: skip
+        params = declare_params(self, self.GROUPS)
+        options = declare_options(self, self.OPTIONS)
         self._patience = options["table_patience"]  # less than a world waits for a leg
         shared = options["shared"]
         if shared and (options["table"] or options["save"]):
@@ -80,6 +81,7 @@ class LegNode(Node):  # type: ignore[misc]
         )
         self.refused = 0
         leg = self.module.leg
+        self.take_seat(topics.command(leg))
         self._ticks = params.gait.ticks
         self._inbox = Inbox("joints", "contact", "phase")
         self._senses = wire.SenseWire(leg, params.gait.tick_ns)

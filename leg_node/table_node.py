@@ -17,6 +17,7 @@ from ember_ros import calls, topics
 from ember_ros.errors import EmberError, PushError, TableError
 from ember_ros.params import as_dict, cells_sha256
 from ember_ros.ros_params import declare_options, declare_params
+from ember_ros.seat import Seated
 from ember_ros.spinning import main_of
 from ember_ros.throttle import Throttle
 from leg_node.journal import MOST_PUSHES, Journal, from_json, to_json
@@ -25,7 +26,7 @@ from leg_node.table import Table, empty_table
 from leg_node.table_file import load_table, save_table
 
 
-class TableNode(Node):  # type: ignore[misc]
+class TableNode(Seated, Node):  # type: ignore[misc]
     """Merges what the legs push, answers what they pull, never waits for anybody.
 
     Services: ``table/push`` (rcl_interfaces/SetParametersAtomically),
@@ -35,19 +36,24 @@ class TableNode(Node):  # type: ignore[misc]
     ``save``, ``seed``.
     """
 
+    GROUPS = ("gait", "leg", "state", "train", "walk")
+    OPTIONS = ("stage", "table", "save", "seed")
+
     def __init__(self, **kwargs: Any) -> None:
         """Make the node; ``kwargs`` go to rclpy's ``Node``.
 
         Raises:
             ParameterError: a parameter is unknown or out of range.
             TableError: the file ``table`` cannot be used.
+            TakenError: there is another table in this namespace.
         """
         super().__init__(
             "table_node", automatically_declare_parameters_from_overrides=True, **kwargs
         )
         self.done = False
-        self._params = params = declare_params(self, ("gait", "leg", "state", "train", "walk"))
-        options = declare_options(self, ("stage", "table", "save", "seed"))
+        self._params = params = declare_params(self, self.GROUPS)
+        options = declare_options(self, self.OPTIONS)
+        self.take_seat(topics.PUSH)  # before any file: they are the other one's, maybe
         self._save = Path(options["save"]) if options["save"] else None
         self._seed = options["seed"]
         self._numbers = params.walk if options["stage"] == "walk" else params.train

@@ -93,7 +93,7 @@ def make_corpus(folder: Path) -> None:
     journal = Journal(folder / "table.npz")
     journal.begin(1)
     for n in range(9):
-        journal.add(Push("leg", 1, n, "0" * 64, ()))
+        journal.add(Push(0, "run", n, "0" * 64, ()))
     journal.close()
     (folder / "sqlite").mkdir()
     in_sqlite(folder / "bag", folder / "sqlite")
@@ -257,7 +257,7 @@ def change_content(content: Any, rng: Rng) -> Any:
 
 ALIASES = "".join(
     f"{one}: &{one} [{', '.join(['*' + other] * 9)}]\n"
-    for one, other in zip("bcdefghi", "abcdefgh")
+    for one, other in zip("bcdefghi", "abcdefgh", strict=True)
 )
 YAML_LIES = [
     "a: &a [x, x, x]\n" + ALIASES,
@@ -398,10 +398,10 @@ def change_table(file: Path, rng: Rng) -> None:
         for each, part in members:
             content.writestr(each, part)
     if rng.random() < 0.3:  # what the directory says of a member
-        data, form = bytearray(file.read_bytes()), rng.choice(["<I", "<H"])
-        at = data.find(b"PK\x01\x02") + rng.randrange(8, 46)
-        data[at : at + 4] = struct.pack(form, rng.choice(SIZES) % (1 << 8 * struct.calcsize(form)))
-        file.write_bytes(data)
+        told, form = bytearray(file.read_bytes()), rng.choice(["<I", "<H"])
+        at = told.find(b"PK\x01\x02") + rng.randrange(8, 46)
+        told[at : at + 4] = struct.pack(form, rng.choice(SIZES) % (1 << 8 * struct.calcsize(form)))
+        file.write_bytes(told)
     return None
 
 
@@ -446,12 +446,13 @@ def closed_chunk(
 ) -> bytes:
     """Return a chunk of anything, compressed in some way, that tells some size."""
     how = rng.choice(["zstd", "zstd", "lz4", "", "bz2"])
-    coded = {
+    coders: dict[str, Callable[[], bytes]] = {
         "zstd": lambda: zstandard.ZstdCompressor(write_content_size=rng.random() < 0.7).compress(
             inside
         ),
         "lz4": lambda: lz4.frame.compress(inside, store_size=rng.random() < 0.5),
-    }.get(how, lambda: inside)()
+    }
+    coded = coders.get(how, lambda: inside)()
     told = len(inside) if size is None else size
     crc = rng.choice([0, zlib.crc32(inside)])
     return (

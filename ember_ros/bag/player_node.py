@@ -14,6 +14,7 @@ from ember_ros import topics
 from ember_ros.bag.reading import Bag, Raw
 from ember_ros.bag.recording import absolute
 from ember_ros.errors import BagError
+from ember_ros.seat import Seat
 
 PAUSE = topics.Service("play/pause", "std_srvs/srv/SetBool")
 MOST = 256
@@ -56,6 +57,7 @@ class PlayerNode(Node):  # type: ignore[misc]
 
         Raises:
             BagError: a live leg is none of the bag's, or the bag ends before ``start_s``.
+            TakenError: a robot on this machine says one of the topics.
         """
         super().__init__("player_node", namespace=bag.namespace or None, **kwargs)
         self.done = False
@@ -80,6 +82,7 @@ class PlayerNode(Node):  # type: ignore[misc]
         said = (topics.command, topics.transition)
         left_out = {absolute(bag.namespace, make(leg).name) for leg in live for make in said}
         self._sayers: dict[str, Any] = {}
+        self._seats: list[Seat] = []
         for topic, connection in bag.connections.items():
             if topic in left_out or not topic.startswith(prefix) or topic.startswith(others):
                 continue
@@ -95,6 +98,8 @@ class PlayerNode(Node):  # type: ignore[misc]
             try:
                 named = topics.Topic(topic, connection.msgtype)
                 self._sayers[topic] = named.publish(self)
+                domain = self.context.get_domain_id()
+                self._seats.append(Seat(domain, topic, self.get_fully_qualified_name()))
             except (ImportError, AttributeError, ValueError):
                 self.get_logger().warning(
                     f"{topic} is left out: there is no {connection.msgtype} in this environment"
@@ -169,3 +174,9 @@ class PlayerNode(Node):  # type: ignore[misc]
 
     def finish(self, spin: Callable[[], None]) -> None:
         """Nothing to bring home."""
+
+    def destroy_node(self) -> None:
+        """Destroy the node and leave its seats."""
+        super().destroy_node()
+        for seat in self._seats:
+            seat.leave()

@@ -277,6 +277,9 @@ class RecorderNode(Node):  # type: ignore[misc]
     Parameters: ``bag``, ``split_mb``, ``split_s``, ``all_robots``.
     """
 
+    GROUPS = ()
+    OPTIONS = ("bag", "split_mb", "split_s", "all_robots")
+
     def __init__(self, **kwargs: Any) -> None:
         """Make the node and the bag; ``kwargs`` go to rclpy's ``Node``.
 
@@ -288,13 +291,13 @@ class RecorderNode(Node):  # type: ignore[misc]
             "recorder_node", automatically_declare_parameters_from_overrides=True, **kwargs
         )
         self.done = False
-        names = ("bag", "split_mb", "split_s")
-        declare_params(self, ())  # refuses unknown names
-        options = declare_options(self, (*names, "all_robots"))
+        declare_params(self, self.GROUPS)  # refuses unknown names
+        options = declare_options(self, self.OPTIONS)
         if not options["bag"]:
             raise ParameterError("give the folder of a new bag: --ros-args -p bag:=DIR")
         self._folder = Path(options["bag"])
-        self._writer = Scribe(BagOptions(self._folder, *(options[name] for name in names[1:])))
+        given = (options[name] for name in BagOptions._fields[1:])
+        self._writer = Scribe(BagOptions(self._folder, *given))
         self._writer.flush()  # returns when it is ready to write: what comes now is not held up
         self._all = options["all_robots"]
         self._ears: dict[str, _Ear] = {}

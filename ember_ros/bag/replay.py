@@ -218,6 +218,7 @@ def replay(
     *,
     on: str = "loop",
     rate: float = 0.0,
+    namespace: str = "",
     go_on: Callable[[int], bool] = lambda ticks: True,
 ) -> Replayed:
     """Replay a bag.
@@ -226,6 +227,7 @@ def replay(
         bag: an open one.
         on: ``loop``, or ``graph`` for real leg nodes, a table node and a CPG node.
         rate: times real time; as fast as can be for 0.
+        namespace: of the nodes on the graph.
         go_on: told how many ticks are done; says whether to go on.
 
     Raises:
@@ -254,7 +256,11 @@ def replay(
         # The world ends where the record does; there are no more cycles than phases.
         plan = bag.card.plan(bag.messages(topics.PHASE), start)
         began = time.perf_counter()
-        done, table = (_by_loop if on == "loop" else _by_graph)(plan, world, folder, go_on)
+        done, table = (
+            _by_loop(plan, world, go_on)
+            if on == "loop"
+            else _by_graph(plan, world, folder, namespace, go_on)
+        )
         seconds = time.perf_counter() - began
     difference = world.difference
     for damage in [each for each in bag.damages if each.tick < done][:1]:
@@ -281,9 +287,7 @@ def replay(
     )
 
 
-def _by_loop(
-    plan: Plan, world: RecordedWorld, folder: Path, go_on: Callable[[int], bool]
-) -> tuple[int, Table]:
+def _by_loop(plan: Plan, world: RecordedWorld, go_on: Callable[[int], bool]) -> tuple[int, Table]:
     from ember_ros.loop import Loop
 
     loop = Loop(plan, world)
@@ -293,11 +297,11 @@ def _by_loop(
 
 
 def _by_graph(
-    plan: Plan, world: RecordedWorld, folder: Path, go_on: Callable[[int], bool]
+    plan: Plan, world: RecordedWorld, folder: Path, namespace: str, go_on: Callable[[int], bool]
 ) -> tuple[int, Table]:
     from ember_ros.graph import Graph
 
-    graph = Graph(plan, folder, world=world)
+    graph = Graph(plan, folder, world=world, namespace=namespace)
     graph.sim.observers.append(world)
     try:
         graph.run(lambda: go_on(graph.sim.tick))

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NoReturn, Protocol
 
 from ember_ros.bag.storage import BagOptions, BagWriter, make_folder
+from ember_ros.children import command_of
 from ember_ros.errors import BagError
 
 _RECORD = struct.Struct("<BHqI")
@@ -70,12 +71,7 @@ class Scribe:
         self._said: Any = tempfile.TemporaryFile()  # noqa: SIM115  what it says when it fails
         # A session of its own: Ctrl-C is for who records; this ends when there is no more to read.
         self._process = subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "ember_ros.bag.scribe",
-                json.dumps([str(options.folder.resolve()), *options[1:]]),
-            ],
+            [*command_of(__name__), json.dumps([str(options.folder.resolve()), *options[1:]])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._said,

@@ -23,6 +23,8 @@ from ember_ros.experiments.trial import Trial, done, run_trial
 WORKERS = 2
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """So that two workers do not fight over two cores."""
+SAFE_PATH = {"PYTHONSAFEPATH": "1"}
+"""So that they begin with no module of the working directory; from Python 3.11 on."""
 
 _stopped: Event | None = None
 
@@ -57,21 +59,22 @@ def _nothing() -> None:
 def workers() -> Iterator[tuple[concurrent.futures.Executor, Event]]:
     """Start the processes that experiments run in, and an event that tells them to stop."""
     context = multiprocessing.get_context("spawn")
-    stop = context.Event()
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    before = {name: os.environ.get(name) for name in (*ONE_THREAD, *SAFE_PATH)}
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1") | SAFE_PATH)
+    stop = context.Event()  # starts a Python too
     try:
         with concurrent.futures.ProcessPoolExecutor(
             WORKERS, mp_context=context, initializer=_begin, initargs=(stop,)
         ) as pool:
-            # The terminal's Ctrl-C goes to workers too, and it is the parent that tells them what
-            # it means: they are begun with it blocked, and never hear it.
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            # The terminal's Ctrl-C and its end go to workers too, and it is the parent that tells
+            # them what that means: they are begun with both blocked, and never hear them.
+            deaf = {signal.SIGINT, signal.SIGHUP}
+            signal.pthread_sigmask(signal.SIG_BLOCK, deaf)
             try:
                 for _ in range(WORKERS):
                     pool.submit(_nothing)
             finally:
-                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, deaf)
             try:
                 yield pool, stop
             except BaseException:
