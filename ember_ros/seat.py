@@ -80,7 +80,7 @@ class Seat:
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
                 raise
-            raise TakenError(taken(_who_has(name), place)) from None
+            raise TakenError(_taken(_who_has(name), place)) from None
         # A name says nothing but itself: a second one says whose the first is.
         said = f"{name}.{os.getpid()}."
         held.append(_bind(said + who[-(NAME_BYTES - len(said) - 1) :]))
@@ -101,7 +101,7 @@ def _who_has(name: str) -> str:
     return "another node"
 
 
-def taken(who: str, place: str) -> str:
+def _taken(who: str, place: str) -> str:
     """Return the sentence that says who has a place, and how to live beside each other."""
     return (
         f"{place} is taken by {who}; to run beside it, give this one a namespace (ember: "
@@ -132,9 +132,12 @@ class Seated:
             TakenError: somebody else on this machine has it.
         """
         self._place = place
-        self._seat = Seat(
-            self.context.get_domain_id(), self.resolved(place), self.get_fully_qualified_name()
-        )
+        domain_id, who = self.context.get_domain_id(), self.get_fully_qualified_name()
+        try:
+            self._seat = Seat(domain_id, self.resolved(place), who)
+        except TakenError:
+            super().destroy_node()  # type: ignore[misc]
+            raise
 
     def resolved(self: Any, place: Topic | Service) -> str:
         """Return the full name of a topic or service of this node."""
@@ -222,5 +225,5 @@ def make_sure(nodes: Sequence[Any], go_on: Callable[[], bool] = lambda: True) ->
             )
         if waited >= LEASE_S:
             place, others = crowded[0]
-            raise TakenError(taken(" and ".join(others), place))
+            raise TakenError(_taken(" and ".join(others), place))
         time.sleep(TURN_S)

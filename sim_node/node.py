@@ -18,12 +18,12 @@ from ember_ros.bag.inquiry import Inquiry
 from ember_ros.bag.recording import Recording, Told
 from ember_ros.bag.scribe import Scribe
 from ember_ros.bag.storage import BagOptions
-from ember_ros.errors import BagError, EmberError, SignalError
+from ember_ros.errors import BagError, SignalError
 from ember_ros.observer import Observer
 from ember_ros.plan import legs_of, make_world
 from ember_ros.report.recorder import Recorder
 from ember_ros.ros_params import declare_options, declare_params
-from ember_ros.seat import LEASE_S, Seated, TakenError, taken
+from ember_ros.seat import Seated
 from ember_ros.signals import LegCommand, Phase, Transition
 from ember_ros.spinning import main_of
 from ember_ros.throttle import SAY_S, Throttle
@@ -91,7 +91,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
         self._kind: str = options["world"]
         self._bag: Scribe | None = None
         self._recording: Recording | None = None
-        self._failed: EmberError | None = None
+        self._failed: BagError | None = None
         if options["bag"]:
             given = (options[name] for name in BagOptions._fields[1:])
             self._bag = Scribe(BagOptions(Path(options["bag"]), *given))
@@ -112,7 +112,6 @@ class SimNode(Seated, Node):  # type: ignore[misc]
         self._told: tuple[Any, ...] = ()  # what was published of the present tick, as it went
         self._absent: set[str] = set()
         self._started = False
-        self._crowded: float | None = None  # since when two say what one should
         self._held = False  # whether the next tick waits for the recorder
         self._recorded: int | None = None  # how far it is; None where nobody is waited for
         self._since = time.monotonic()  # when the present tick was published, or held
@@ -329,7 +328,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
             if time.monotonic() - self._since > self._patience:
                 self._throttle.remind("start", f"waiting for {', '.join(missing)}")
             return
-        if self._is_crowded() or not self._recorders_are_ready():
+        if not self._recorders_are_ready():
             return
         self._telling = {
             leg
@@ -339,26 +338,6 @@ class SimNode(Seated, Node):  # type: ignore[misc]
         self._started = True
         self._tell_the_beginning()
         self._next()
-
-    def _is_crowded(self) -> bool:
-        """Return whether two say what one of our nodes says alone; end if that lasts."""
-        heard = {topics.PHASE: self._phase_subscription} | {
-            topics.command(leg): self._subscriptions_by_leg[leg] for leg in self.legs
-        }
-        for topic, subscription in heard.items():
-            if subscription.handle.get_publisher_count() < 2:
-                continue
-            names = self.holders(topic)
-            if len(names) < 2:
-                continue
-            self._crowded = self._crowded or time.monotonic()
-            why = taken(" and ".join(names), self.resolved(topic))
-            self._throttle.remind("crowded", why)
-            if time.monotonic() - self._crowded >= LEASE_S:  # nobody who was killed: they live
-                self._end_for(TakenError(why))
-            return True
-        self._crowded = None
-        return False
 
     def _recorders_are_ready(self) -> bool:
         """Return whether all who record have what they need, or had their time."""
@@ -389,7 +368,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
             return False
         return True
 
-    def _end_for(self, error: EmberError) -> None:
+    def _end_for(self, error: BagError) -> None:
         """End the run; the error is told when the node finishes: an executor would log a crash."""
         self._failed, self.done, self._started = error, True, False
 
@@ -511,7 +490,6 @@ class SimNode(Seated, Node):  # type: ignore[misc]
 
         Raises:
             BagError: the bag could not be written to its end.
-            TakenError: somebody else said what legs or the CPG say, before the first tick.
         """
         self.done, self._started = True, False
         if self._tick:

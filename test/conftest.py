@@ -35,6 +35,7 @@ collect_ignore = (
         "test_processes.py",
         "test_bag_nodes.py",
         "test_installed.py",
+        "test_seat.py",
     ]
 )
 

@@ -56,25 +56,34 @@ def _nothing() -> None:
 
 
 @contextmanager
+def _deaf() -> Iterator[None]:
+    """Begin processes that do not hear the terminal.
+
+    Its Ctrl-C and its end go to them too, and it is the parent that tells what that means.
+    """
+    signals = {signal.SIGINT, signal.SIGHUP}
+    signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
+
+
+@contextmanager
 def workers() -> Iterator[tuple[concurrent.futures.Executor, Event]]:
     """Start the processes that experiments run in, and an event that tells them to stop."""
     context = multiprocessing.get_context("spawn")
     before = {name: os.environ.get(name) for name in (*ONE_THREAD, *SAFE_PATH)}
     os.environ.update(dict.fromkeys(ONE_THREAD, "1") | SAFE_PATH)
-    stop = context.Event()  # starts a Python too
     try:
+        with _deaf():
+            stop = context.Event()  # begins a process too
         with concurrent.futures.ProcessPoolExecutor(
             WORKERS, mp_context=context, initializer=_begin, initargs=(stop,)
         ) as pool:
-            # The terminal's Ctrl-C and its end go to workers too, and it is the parent that tells
-            # them what that means: they are begun with both blocked, and never hear them.
-            deaf = {signal.SIGINT, signal.SIGHUP}
-            signal.pthread_sigmask(signal.SIG_BLOCK, deaf)
-            try:
+            with _deaf():
                 for _ in range(WORKERS):
                     pool.submit(_nothing)
-            finally:
-                signal.pthread_sigmask(signal.SIG_UNBLOCK, deaf)
             try:
                 yield pool, stop
             except BaseException:

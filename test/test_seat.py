@@ -1,0 +1,196 @@
+"""One sim, CPG, table and leg of a name: who comes second says so, and the first feels nothing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from cpg_node.node import CpgNode
+from ember_ros import seat, topics, wire
+from ember_ros.graph import Graph
+from ember_ros.params import Params, replace
+from ember_ros.plan import Plan
+from ember_ros.seat import TAKEN, Seat, TakenError, make_sure
+from ember_ros.spinning import main_of
+from leg_node.node import LegNode
+from leg_node.table_node import TableNode
+from sim_node.node import SimNode
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from test.conftest import Bits, Ros
+
+PLAN = Plan("walker", 6, seed=4, params=replace(Params(), {"walk.sync_every": 32}))
+PATIENCE_S = 30.0
+SOON_S = 1.0
+"""Wall time for a lease where nobody is to be waited for."""
+MAKERS: dict[str, tuple[Any, dict[str, Any]]] = {
+    "/clock": (SimNode, {}),
+    "/cpg/phase": (CpgNode, {}),
+    "/table/push": (TableNode, {}),
+    "/front_left/command": (LegNode, {"leg": "front_left"}),
+}
+
+
+def make(ros: Ros, place: str, **kwargs: Any) -> Any:
+    """Return the node whose place that is."""
+    kind, options = MAKERS[place]
+    return kind(
+        context=ros.context,
+        parameter_overrides=[Parameter(n, value=v) for n, v in options.items()],
+        **kwargs,
+    )
+
+
+@pytest.fixture
+def short_lease(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait a second for who was killed: here nobody is."""
+    monkeypatch.setattr(seat, "LEASE_S", SOON_S)
+
+
+@pytest.mark.parametrize("place", MAKERS)
+def test_a_second_node_of_one_name_is_refused_and_a_successor_is_not(ros: Ros, place: str) -> None:
+    """It names the first in full and says how to live beside it; a namespace is another place."""
+    first = ros.add(make(ros, place))
+    name = first.get_fully_qualified_name()
+    with pytest.raises(TakenError, match=rf"^{place} is taken by {name} \(process \d+\)") as why:
+        make(ros, place)
+    assert "--namespace" in str(why.value)
+    assert "ROS_DOMAIN_ID" in str(why.value)
+    ros.add(make(ros, place, namespace="robot_2"))
+    ros.remove(first)
+    ros.add(make(ros, place))
+
+
+def test_a_table_that_comes_second_touches_no_file(ros: Ros, tmp_path: Path) -> None:
+    """Snapshot and journal are the first one's."""
+    file = tmp_path / "table.npz"
+    given = [Parameter("save", value=str(file))]
+    first = ros.add(TableNode(context=ros.context, parameter_overrides=given))
+    before = {each: each.stat().st_mtime_ns for each in tmp_path.iterdir()}
+    with pytest.raises(TakenError):
+        TableNode(context=ros.context, parameter_overrides=given)
+    assert before
+    assert {each: each.stat().st_mtime_ns for each in tmp_path.iterdir()} == before
+    ros.remove(first)
+
+
+def test_of_two_runs_one_is_refused_and_the_other_ends_with_its_own_bits(
+    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+) -> None:
+    """Before and while the first runs; once it is closed, a next one may."""
+    with closing(Graph(PLAN, patience=PATIENCE_S, context=ros.context)) as graph:
+        for _ in range(2):
+            with pytest.raises(TakenError, match=r"^/ as a whole is taken by /sim_node"):
+                Graph(PLAN, context=ros.context)
+            deadline = time.monotonic() + 60.0
+            while graph.sim.tick < 40:
+                assert time.monotonic() < deadline
+                graph.spin_once()
+        graph.run()
+        assert by_graph(graph) == by_loop(PLAN)
+    with closing(Graph(PLAN, patience=PATIENCE_S, context=ros.context)) as graph:
+        graph.run()
+        assert by_graph(graph) == by_loop(PLAN)
+
+
+def test_a_name_of_any_length_is_a_seat() -> None:
+    """A socket's name holds 108 bytes; what is said of who has it is cut, and places stay apart."""
+    deep = "/" + "/".join(["robot"] * 30)
+    first, other = Seat(0, f"{deep}/clock", f"{deep}/sim_node"), Seat(0, f"{deep}/c", "/sim_node")
+    with pytest.raises(TakenError, match=r"/robot/sim_node \(process"):
+        Seat(0, f"{deep}/clock", "/x")
+    Seat(1, f"{deep}/clock", "/x").leave()
+    first.leave()
+    Seat(0, f"{deep}/clock", "/x").leave()
+    other.leave()
+
+
+# -- strangers ---------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("short_lease")
+def test_a_stranger_on_the_graph_is_named_before_the_first_tick(ros: Ros) -> None:
+    """A node that is not ours says the phase: a graph of its own context runs no tick, and ends."""
+    ros.publisher(topics.PHASE, matched=False)
+    with closing(Graph(PLAN, patience=PATIENCE_S)) as graph:
+        with pytest.raises(TakenError, match=r"^/cpg/phase is taken by /onlooker"):
+            graph.run()
+        assert graph.sim.tick == 0
+
+
+def test_a_stranger_who_leaves_is_forgotten(ros: Ros) -> None:
+    """Who was only on the way out is waited for."""
+    stranger = topics.PHASE.publish(ros.node)
+    cpg = ros.add(make(ros, "/cpg/phase"))
+    ros.spin_until(cpg.others, "it is seen")
+    looks = 0
+
+    def go_on() -> bool:
+        nonlocal looks
+        looks += 1
+        if looks == 3:
+            ros.node.destroy_publisher(stranger)
+        return True
+
+    make_sure([cpg], go_on)
+    assert looks > 3
+    assert cpg.others() == []
+
+
+def test_who_was_killed_here_is_no_stranger(ros: Ros, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a seat, but with our name on the graph: a dead one, unless other machines hear us."""
+    ghost = ros.add(Node("cpg_node", context=ros.context))
+    topics.PHASE.publish(ghost)
+    cpg = ros.add(make(ros, "/cpg/phase"))
+    both = [("cpg_node", "/")] * 2
+    ros.spin_until(
+        lambda: [n for n in ros.node.get_node_names_and_namespaces() if n in both] == both, "both"
+    )
+    assert cpg.others() == []
+    make_sure([cpg])
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    assert cpg.others() == ["/cpg_node"]
+
+
+def test_a_stranger_s_table_is_seen(ros: Ros) -> None:
+    """Services are told apart by who serves them."""
+    topics.PUSH.serve(ros.node, lambda request, response: response)
+    table = ros.add(make(ros, "/table/push"))
+    ros.spin_until(lambda: table.others() == ["/onlooker"], "it is seen")
+
+
+# -- the executables ---------------------------------------------------------------------------
+
+
+def test_a_node_that_comes_second_ends_with_a_code_of_its_own(
+    ros: Ros, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line that begins with ``error:``, and 3."""
+    ros.add(make(ros, "/cpg/phase"))
+    assert main_of(CpgNode, ["--ros-args", "-r", "__ns:=/"]) == TAKEN == 3
+    said = capsys.readouterr()
+    assert said.err.startswith("error: /cpg/phase is taken by /cpg_node (process ")
+    assert said.err.count("\n") == 1
+    assert not said.out
+
+
+@pytest.mark.usefixtures("short_lease")
+def test_a_node_that_meets_a_stranger_ends_before_it_says_anything(
+    ros: Ros, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A CPG of another make: ours hears the clock and answers nothing."""
+    phases = ros.messages(topics.PHASE, matched=False)
+    ros.publisher(topics.PHASE, matched=False)
+    ros.publisher(topics.CLOCK, matched=False).publish(wire.pack_clock(0))
+    assert main_of(CpgNode, []) == TAKEN
+    assert "error: /cpg/phase is taken by /onlooker" in capsys.readouterr().err
+    ros.spin_once()
+    assert phases == []
