@@ -9,7 +9,6 @@ learnt, are left out.
 from __future__ import annotations
 
 import inspect
-import itertools
 import os
 import re
 import signal
@@ -125,8 +124,16 @@ N = TypeVar("N", bound=Spinnable)
 
 
 def _own(args: Sequence[str]) -> list[str]:
-    """Return the arguments before those for ROS."""
-    return list(itertools.takewhile(lambda each: each != "--ros-args", args))
+    """Return the arguments that are not for ROS: those do not stand behind ``--ros-args``."""
+    own, for_ros = [], False
+    for each in args:
+        if each == "--ros-args":
+            for_ros = True
+        elif for_ros and each == "--":
+            for_ros = False
+        elif not for_ros:
+            own.append(each)
+    return own
 
 
 def _executable(make: type[Spinnable]) -> str:
@@ -161,24 +168,6 @@ def _yaml(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value) or "''"
 
 
-def _refuse_arguments(make: type[Spinnable], args: list[str] | None) -> None:
-    """Refuse what is neither for ROS nor known here.
-
-    Raises:
-        ParameterError: there is such an argument.
-    """
-    from rclpy.utilities import remove_ros_args
-
-    from ember_ros.errors import ParameterError
-
-    given = ["", *args] if args is not None else sys.argv
-    if unknown := remove_ros_args(given)[1:]:
-        raise ParameterError(
-            f"{_executable(make)} has no argument {unknown[0]!r}; parameters are given as "
-            "--ros-args -p NAME:=VALUE, and --help tells them"
-        )
-
-
 def main_of(
     make: type[N],
     args: list[str] | None = None,
@@ -196,9 +185,17 @@ def main_of(
         0 after a signal or when the node is done, 2 for a mistake of the user's, 3 where another
         node is already what this one was to be; both are said in one line.
     """
-    if not {"-h", "--help"}.isdisjoint(_own(sys.argv[1:] if args is None else args)):
+    own = _own(sys.argv[1:] if args is None else args)
+    if not {"-h", "--help"}.isdisjoint(own):
         print(usage(make))
         return 0
+    if own:  # rcl would take world:=trainer for a remap rule, and go on without it
+        print(
+            f"error: {_executable(make)} has no argument {own[0]!r}; --ros-args -p NAME:=VALUE "
+            "sets a parameter, --ros-args -r NAME:=NAME remaps, and --help tells more",
+            file=sys.stderr,
+        )
+        return 2
     prepare_environment()
     import rclpy
     from rclpy.experimental.events_executor import EventsExecutor
@@ -210,7 +207,6 @@ def main_of(
         node: N | None = None
         try:
             _init(args)
-            _refuse_arguments(make, args)
             node = make()
             make_sure([node], lambda: not stop.asked)
             executor = EventsExecutor()

@@ -221,15 +221,16 @@ def alive(group: int) -> list[str]:
     return found
 
 
-def test_ctrl_c_stops_an_experiment_and_its_workers(tmp_path: Path) -> None:
-    """The terminal signals them all: exit code 130, a line that says so, and nobody left behind."""
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_ctrl_c_stops_an_experiment_and_its_workers(tmp_path: Path, number: int) -> None:
+    """The terminal, or its end, signals them all: 130, a line that says so, nobody left."""
     command = [sys.executable, "-m", "ember_ros", "experiment", "fig5", "--seeds", "2"]
     with subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, start_new_session=True
     ) as child:
         while child.poll() is None and len(list(Path(f"/proc/{child.pid}/task").glob("*"))) < 3:
             pass  # until its pool has begun
-        os.killpg(child.pid, signal.SIGINT)
+        os.killpg(child.pid, number)
         output, _ = child.communicate(timeout=120)
     assert child.returncode == 130, output
     assert "Stopped; what was run is in out/trials" in output

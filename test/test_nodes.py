@@ -19,12 +19,14 @@ from std_srvs.srv import SetBool, Trigger
 
 from cpg_node.node import CpgNode
 from ember_ros import calls, topics, wire
+from ember_ros.bag.recorder_node import RecorderNode
 from ember_ros.errors import EmberError, ParameterError, TableError
 from ember_ros.loop import Loop
 from ember_ros.params import SPECS, Params, cells_sha256
 from ember_ros.plan import Plan
 from ember_ros.ros_params import OPTIONS
 from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Pair, Phase, Transition
+from ember_ros.spinning import main_of
 from leg_node.module import LegModule
 from leg_node.node import LegNode
 from leg_node.shared import Push, SharedTable
@@ -250,6 +252,37 @@ def test_a_node_has_the_parameters_its_docstring_lists(ros: Ros, kind: Any) -> N
             assert real.to_value == min(spec.high, 1.7e308)
             assert real.step == 0.0
     assert not expected, "listed, not declared"
+
+
+@pytest.mark.parametrize("kind", [*NODES, RecorderNode])
+@pytest.mark.parametrize("asked", [["--help"], ["-h", "--ros-args", "-r", "__ns:=/x"]])
+def test_help_says_what_a_node_is_and_its_parameters(
+    kind: Any, asked: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All that are its own with their meaning, its groups, how ROS takes them; and it ends."""
+    assert main_of(kind, asked) == 0
+    said = capsys.readouterr()
+    assert not said.err
+    for name in documented(kind, "Parameters", []):
+        if name.endswith(".*"):
+            assert name in said.out.splitlines()[-1]
+        else:
+            assert re.search(rf"^  {name}:=.*{re.escape(OPTIONS[name].doc)}", said.out, re.M), name
+    assert said.out.startswith("usage: ")
+    assert "--ros-args" in said.out.splitlines()[0]
+    assert str(kind.__doc__).splitlines()[0] in said.out
+
+
+@pytest.mark.parametrize("kind", [*NODES, RecorderNode])
+def test_an_argument_that_nobody_knows_is_refused(
+    kind: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A parameter without ``--ros-args -p``, as it is often typed: one line, and 2."""
+    for given in (["world:=trainer"], ["--ros-args", "-r", "__ns:=/x", "--", "world:=trainer"]):
+        assert main_of(kind, given) == 2
+        error = capsys.readouterr().err
+        wanted = r"error: \w+_node has no argument 'world:=trainer'; --ros-args -p .*\n"
+        assert re.fullmatch(wanted, error)
 
 
 @pytest.mark.parametrize("kind", NODES)
