@@ -7,7 +7,6 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from rich.table import Table as Grid
 import ember_ros
 from ember_ros.bag.storage import BagOptions
 from ember_ros.cli_bags import COMMANDS, INTERRUPTED, NAMESPACE, PARAMS, console
-from ember_ros.errors import EmberError, ParameterError
+from ember_ros.errors import EmberError, ParameterError, need
 from ember_ros.experiments import lab, relearn
 from ember_ros.experiments.reproduction import ALL, DOCUMENT, RESULTS, STUDIES, document, read
 from ember_ros.experiments.study import Size, Study, belongs, collect, write
@@ -217,6 +216,7 @@ def _show(
     namespace: str = "",
 ) -> tuple[Any, dict[str, Any]]:
     """Run a plan behind a progress bar."""
+    need("matplotlib", why="to draw what comes of it")
     label = "walking" if plan.world == "walker" else "training"
     with _progress(f"{label} ({way})", plan.cycles, stop) as go_on:
         return run(plan, way, out, go_on, shlex.join(["ember", *sys.argv[1:]]), bag, namespace)
@@ -441,10 +441,8 @@ def experiment(
     if name == RELEARN:
         _relearn(seeds or 5, cycles or relearn.CYCLES, walk_cycles or 300, out, trials, command)
         return
-    if find_spec("scipy") is None:  # said now, and not when all has been run
-        raise ParameterError(
-            "experiments need SciPy for their statistics: `pip install 'ember_ros[science]'`"
-        )
+    need("scipy", why="for the statistics of experiments")
+    need("matplotlib", why="to draw what comes of them")
     studies = list(STUDIES.values()) if name == ALL else [STUDIES[name]]
     if redraw:
         _redraw(studies, out)

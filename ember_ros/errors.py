@@ -5,8 +5,23 @@ A message names what is wrong, where, and what would be right.
 
 from __future__ import annotations
 
+import importlib
 import reprlib
 from typing import Any
+
+PIP = {
+    "click": "click",
+    "matplotlib": "matplotlib",
+    "mcap": "mcap",
+    "numpy": "numpy",
+    "rich": "rich",
+    "rosbags": "'rosbags<0.12'",
+    "scipy": "scipy",
+    "yaml": "PyYAML",
+}
+"""What pip calls the libraries that may be missing, by the name they are imported under."""
+APT = ("click", "matplotlib", "numpy", "rich", "scipy", "yaml")
+"""Those of them that Ubuntu has as well, each as ``python3-<name>``."""
 
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 2, 100, 100
@@ -46,3 +61,28 @@ class GraphError(EmberError):
 
 class BagError(EmberError):
     """A bag is missing, damaged, of something else, or cannot be written."""
+
+
+class MissingError(EmberError):
+    """A library is not installed."""
+
+    def __init__(self, name: str, why: str = "") -> None:
+        """Say how to get the library that is imported as ``name``, and what for if that helps."""
+        apt = f" or `sudo apt install python3-{name}`" if name in APT else ""
+        needed = f", and is needed {why}" if why else ""
+        super().__init__(f"{name} is not installed{needed}: `pip install {PIP[name]}`{apt}")
+
+
+def need(*names: str, why: str) -> None:
+    """Import libraries for the sake of the error: now, and not when all has been worked out.
+
+    Raises:
+        MissingError: one is not installed.
+    """
+    for name in names:
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            if error.name != name:
+                raise
+            raise MissingError(name, why) from error

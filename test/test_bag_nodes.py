@@ -401,11 +401,14 @@ def test_a_leg_that_dies_costs_its_commands_and_nothing_else(ros: Ros, tmp_path:
 
 
 def test_nobody_is_there_and_the_bag_is_empty_and_whole(ros: Ros, tmp_path: Path) -> None:
-    """A recorder that heard nobody leaves a bag that every reader opens, with nothing in it."""
+    """A recorder that heard nobody says so, and leaves a bag that every reader opens, empty."""
     for name, every in {"one": False, "all": True}.items():
         recorder = recording(ros, tmp_path / name, all_robots=every)
         until_quiet(ros)
-        recorder.finish(ros.spin_once)
+        with pytest.raises(
+            BagError, match="no robot was heard " + ("anywhere" if every else "in /")
+        ):
+            recorder.finish(ros.spin_once)
         ros.remove(recorder)
         assert read_metadata(tmp_path / name)["message_count"] == 0
         with pytest.raises(BagError, match="has no robot of ember_ros in it"):
@@ -972,3 +975,20 @@ def test_nobody_who_answers_is_said_with_names(ros: Ros) -> None:
     for leg in LEGS:
         assert any(why.startswith(f"{leg} does not say") for why in wrong)
     assert "nobody serves a table" in wrong
+
+
+def test_a_recorder_that_heard_nobody_ends_with_an_error(
+    ros: Ros, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says meanwhile that nothing is recorded, and in the end where it listened in vain."""
+    monkeypatch.setattr("ember_ros.bag.recorder_node.SAY_S", 0.0)
+    said: list[str] = []
+
+    def says() -> bool:
+        said.append(capfd.readouterr().err)
+        return "/robot: nothing is recorded, no robot speaks here yet" in "".join(said)
+
+    recorder = recording(ros, tmp_path / "bag", "/robot")
+    ros.spin_until(says, "that it records nothing")
+    with pytest.raises(BagError, match=r"no robot was heard in /robot: the bag .*bag is empty"):
+        recorder.finish(ros.spin_once)

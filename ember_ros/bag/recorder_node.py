@@ -23,7 +23,7 @@ from ember_ros.bag.recording import Recording, Told, absolute
 from ember_ros.bag.scribe import Scribe
 from ember_ros.bag.storage import BagOptions, size_of
 from ember_ros.bag.window import Window
-from ember_ros.errors import ParameterError, SignalError
+from ember_ros.errors import BagError, ParameterError, SignalError
 from ember_ros.params import Params
 from ember_ros.plan import WORLDS, legs_of
 from ember_ros.ros_params import declare_options, declare_params
@@ -263,7 +263,9 @@ class _Ear:
 
     def line(self) -> str:
         """Return how far it is."""
-        ticks = self.recording.ticks if self.recording else 0
+        if self.recording is None:
+            return f"/{self.namespace.strip('/')}: nothing is recorded, no robot speaks here yet"
+        ticks = self.recording.ticks
         lost = f"{self.missing} messages missing" if self.missing else "nothing missing"
         return f"/{self.namespace.strip('/')}: {ticks} ticks, {self.fallen} falls, {lost}"
 
@@ -334,14 +336,22 @@ class RecorderNode(Node):  # type: ignore[misc]
         self.get_logger().info(f"{lines}; {size_of(self._folder) / 1e6:.1f} MB")
 
     def finish(self, spin: Callable[[], None]) -> None:
-        """Write what was heard, and end the bag well."""
+        """Write what was heard, and end the bag well.
+
+        Raises:
+            BagError: nothing was heard, or the bag could not be written to its end.
+        """
         self.done = True
         for ear in self._ears.values():
             ear.finish()
         self._writer.close()
-        self._say()
         if not any(ear.recording for ear in self._ears.values()):
-            self.get_logger().warning(f"no robot was heard: the bag {self._folder} is empty")
+            where = "anywhere" if self._all else f"in {self.get_namespace()}"
+            raise BagError(
+                f"no robot was heard {where}: the bag {self._folder} is empty; a robot in the same "
+                "namespace, domain and discovery range would be heard"
+            )
+        self._say()
 
     def destroy_node(self) -> None:
         """Destroy the node; a bag that was not finished ends here."""

@@ -22,7 +22,7 @@ from typing import Any, BinaryIO, NoReturn, Protocol
 
 from ember_ros.bag.storage import BagOptions, BagWriter, make_folder
 from ember_ros.children import command_of
-from ember_ros.errors import BagError
+from ember_ros.errors import BagError, need
 
 _RECORD = struct.Struct("<BHqI")
 """What it is, the channel, the time in ns, and how many bytes follow."""
@@ -63,7 +63,9 @@ class Scribe:
 
         Raises:
             BagError: the folder is there already or cannot be made.
+            MissingError: a library that bags need is not installed.
         """
+        need("rosbags", "mcap", why="for bags")  # the process would die of it unheard
         self.folder = options.folder
         self._channels: dict[tuple[str, str], int] = {}
         self._records = bytearray()

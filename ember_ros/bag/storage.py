@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import yaml
 
-from ember_ros.errors import BagError
+from ember_ros.errors import PIP, BagError
 
 METADATA = "metadata.yaml"
 STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}
@@ -59,7 +59,9 @@ class Definition(NamedTuple):
 
 def needs_rosbags(error: ModuleNotFoundError) -> BagError:
     """Return the error for a missing library."""
-    return BagError(f"bags need rosbags and mcap ({error}): `pip install 'ember_ros[bags]'`")
+    return BagError(
+        f"bags need rosbags and mcap ({error}): `pip install {PIP['rosbags']} {PIP['mcap']}`"
+    )
 
 
 @functools.cache

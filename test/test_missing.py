@@ -1,0 +1,131 @@
+"""Libraries that are not installed: who needs none runs without, who needs one names it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ROS = find_spec("rclpy") is not None
+
+WALL = """
+import importlib.abc, runpy, sys
+
+class Wall(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in hidden:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        return None
+
+hidden = set(sys.argv[1].split(","))
+for name in [name for name in sys.modules if name.split(".")[0] in hidden]:
+    del sys.modules[name]  # of some .pth file
+sys.meta_path.insert(0, Wall())
+del sys.argv[1]
+"""
+RUN = WALL + "runpy.run_module(sys.argv.pop(1), run_name='__main__', alter_sys=True)"
+WALK = (
+    WALL
+    + """
+from ember_ros.graph import Graph
+from ember_ros.plan import Plan
+from sim_node.fake import FakeWorld
+graph = Graph(Plan("walker", 2), world=FakeWorld())
+graph.run()
+print(graph.sim.tick)
+graph.close()
+"""
+)
+
+
+def without(
+    hidden: str, script: str, *args: str, domain: int = 0
+) -> subprocess.CompletedProcess[str]:
+    """Run a script in a Python that lacks some libraries."""
+    return subprocess.run(
+        [sys.executable, "-c", script, hidden, *args],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "ROS_DOMAIN_ID": str(domain)},
+        check=False,
+        timeout=60.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("library", "pip", "apt"),
+    [
+        ("click", "click", "python3-click"),
+        ("rich", "rich", "python3-rich"),
+        ("numpy", "numpy", "python3-numpy"),
+        ("yaml", "PyYAML", "python3-yaml"),
+    ],
+)
+def test_ember_names_the_library_it_lacks(library: str, pip: str, apt: str) -> None:
+    """One line with both ways to get it, and the code of a user's mistake; no traceback."""
+    done = without(library, RUN, "ember_ros", "--help")
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"error: {library} is not installed: `pip install {pip}` or `sudo apt install {apt}`\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("library", "args"),
+    [
+        ("matplotlib", ("train", "--cycles", "1")),
+        ("matplotlib", ("experiment", "fig5")),
+        ("scipy", ("experiment", "fig5")),
+        ("mcap", ("walk", "--on", "loop", "--policy", "scripted", "--cycles", "1", "--bag", "bag")),
+    ],
+)
+def test_what_is_needed_in_the_end_is_missed_at_the_start(
+    tmp_path: Path, library: str, args: tuple[str, ...]
+) -> None:
+    """Nobody trains for an hour to read that there is nothing to draw with."""
+    args = tuple(str(tmp_path / "bag") if arg == "bag" else arg for arg in args)
+    done = without(library, RUN, "ember_ros", *args, "--out", str(tmp_path / "out"))
+    assert done.returncode == 2, done.stderr
+    (line,) = (line for line in done.stderr.splitlines() if line.startswith("error: "))
+    assert line.startswith(f"error: {library} is not installed, and is needed ")
+    assert f"`pip install {library}`" in line
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.glob("**/*.npz"))
+    assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.skipif(not ROS, reason="rclpy is missing")
+@pytest.mark.parametrize("library", ["mcap", "rosbags"])
+@pytest.mark.parametrize(
+    ("module", "args"),
+    [
+        ("ember_ros.bag.recorder_node", ()),
+        ("sim_node.node", ("-p", "world:=trainer")),
+    ],
+)
+def test_a_node_that_cannot_record_ends_at_once(
+    free_domain: int, tmp_path: Path, library: str, module: str, args: tuple[str, ...]
+) -> None:
+    """It does not look healthy and record nothing: one line that names the library, and code 2."""
+    bag = tmp_path / "bag"
+    done = without(
+        library, RUN, module, "--ros-args", "-p", f"bag:={bag}", *args, domain=free_domain
+    )
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"error: {library} is not installed, and is needed for bags: `pip ")
+    assert not bag.exists()
+
+
+@pytest.mark.skipif(not ROS, reason="rclpy is missing")
+def test_nodes_walk_without_what_only_ember_needs(free_domain: int) -> None:
+    """No node imports what draws, what prints, or what writes bags."""
+    hidden = "click,rich,matplotlib,mcap,rosbags,scipy"
+    done = without(hidden, WALK, domain=free_domain)
+    assert (done.returncode, done.stdout.strip()) == (0, "64"), done.stderr
