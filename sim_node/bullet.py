@@ -40,7 +40,45 @@ with _quiet():
     import pybullet as bullet
 
 
-__all__ = ["BulletWorld", "bullet"]
+__all__ = ["BulletWorld", "Ground", "bullet"]
+
+
+class Ground:
+    """Flat ground without end, the same in every direction for a robot that it is turned with.
+
+    Bullet works friction out along two axes, and where a foot is harder to move along one than
+    along the other, the force does not point straight against its slip. The axes are the world's:
+    what slides at 45 degrees to them is held less, and a walker turns until it heads there. Its
+    anisotropic friction of (1, -1, 1) mirrors these axes in the ground's own x, so on ground that
+    is turned by half a heading they lie along that heading and across it, whatever it is.
+    """
+
+    def __init__(self, client: int) -> None:
+        """Lay the ground at height 0, for the heading 0."""
+        self._client = client
+        plane = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
+        seen = bullet.createVisualShape(
+            bullet.GEOM_BOX,
+            halfExtents=(50, 50, 0.001),
+            rgbaColor=(0.93, 0.94, 0.92, 1),
+            physicsClientId=client,
+        )
+        self._body = bullet.createMultiBody(0, plane, seen, physicsClientId=client)
+        bullet.changeDynamics(
+            self._body,
+            -1,
+            lateralFriction=1.0,
+            restitution=0.0,
+            anisotropicFriction=(1.0, -1.0, 1.0),
+            physicsClientId=client,
+        )
+
+    def turn(self, heading: float) -> None:
+        """Turn the axes of friction to a heading, rad; before every tick, as the robot turns."""
+        half = heading / 4.0  # a quaternion holds half of the angle, which is half of the heading
+        bullet.resetBasePositionAndOrientation(
+            self._body, (0.0, 0.0, 0.0), (0.0, 0.0, math.sin(half), math.cos(half)), self._client
+        )
 
 
 class _Mount:
@@ -81,6 +119,8 @@ class BulletWorld(ABC):
 
     legs: tuple[str, ...]
     over = False
+    _start_heading = 0.0
+    """Where the robot heads when it is built, rad."""
     work = 0.0
     """What the legs' motors have put into their joints so far, J: the positive part of torque times
     speed, read at the end of each tick. What they take out of them again is not given back."""
@@ -114,6 +154,10 @@ class BulletWorld(ABC):
     @abstractmethod
     def _place(self) -> tuple[float, float, float]:
         """Return where the robot's root link starts, m."""
+
+    @abstractmethod
+    def _heading(self) -> float:
+        """Return where the robot heads, rad."""
 
     @abstractmethod
     def _prepare(self) -> None:
@@ -160,6 +204,7 @@ class BulletWorld(ABC):
 
     def coast(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
         """Advance by one tick and sense nothing: what physics alone costs, for benchmarks."""
+        self._ground.turn(self._heading())
         self._set_motors(commands)
         self._drive(phase)
         for _ in range(self.params.physics.substeps):
@@ -167,6 +212,7 @@ class BulletWorld(ABC):
 
     def step(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
         """Advance by one tick; a leg with ``None`` holds both its joints still."""
+        self._ground.turn(self._heading())
         self._set_motors(commands)
         self._drive(phase)
         for mount in self._mounts:
@@ -204,21 +250,12 @@ class BulletWorld(ABC):
             self._robot = bullet.loadURDF(
                 str(file),
                 self._place(),
+                bullet.getQuaternionFromEuler((0.0, 0.0, self._start_heading)),
                 useFixedBase=self.fixed,
                 flags=bullet.URDF_USE_INERTIA_FROM_FILE,
                 physicsClientId=client,
             )
-        plane = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
-        seen = bullet.createVisualShape(
-            bullet.GEOM_BOX,
-            halfExtents=(50, 50, 0.001),
-            rgbaColor=(0.93, 0.94, 0.92, 1),
-            physicsClientId=client,
-        )
-        ground = bullet.createMultiBody(0, plane, seen, physicsClientId=client)
-        bullet.changeDynamics(
-            ground, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client
-        )
+        self._ground = Ground(client)
         self._joints: dict[str, int] = {}
         links = {"": -1}
         for joint in range(bullet.getNumJoints(self._robot, client)):

@@ -51,6 +51,10 @@ class TrainerWorld(BulletWorld):
     def _place(self) -> tuple[float, float, float]:
         return (0.0, 0.0, self._hinge_height)
 
+    def _heading(self) -> float:
+        """Return the bar's angle: the axes of friction lie along the bar and along the leg's way."""
+        return self._axle
+
     def _prepare(self) -> None:
         trainer, client = self.params.trainer, self._client
         axle, hinge = self._joints["axle"], self._joints["hinge"]
@@ -96,7 +100,8 @@ class TrainerWorld(BulletWorld):
 
     def _read_body(self) -> None:
         axle, hinge = self._body_joints
-        self._axle, self._hinge = axle[0], hinge[0]
+        self._axle: float = axle[0]
+        self._hinge: float = hinge[0]
 
     def _fell(self) -> bool:
         return False  # the stop holds it

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from ember_ros.params import Params
 from ember_ros.signals import LEGS, BodyState, Phase
 from sim_node import bodies
 from sim_node.bullet import BulletWorld, bullet
@@ -14,17 +15,22 @@ class WalkerWorld(BulletWorld):
 
     A fall is roll or pitch beyond ``walker.fall_angle``, the body on the ground, or hips under
     ``walker.fall_height`` for a whole cycle. It is counted; the robot is put back on its feet
-    where the next tick finds it, and the senses of that tick are marked ``restart``.
+    where it fell, heading where it headed, and the senses of the next tick are marked ``restart``.
     """
 
     legs: tuple[str, ...] = LEGS
     body_joints = ("twist",)
     body_links = ("rear",)
 
+    def __init__(self, params: Params, *, heading: float = 0.0, gui: bool = False) -> None:
+        """Build the walker, heading ``heading`` rad to the left of x."""
+        self._first_heading = heading
+        super().__init__(params, gui=gui)
+
     def reset(self) -> None:
         """Build everything anew, as it was at tick 0."""
         self._falls = 0
-        self._start = (0.0, 0.0)
+        self._start, self._start_heading = (0.0, 0.0), self._first_heading
         super().reset()
 
     def body(self) -> BodyState:
@@ -36,6 +42,9 @@ class WalkerWorld(BulletWorld):
 
     def _place(self) -> tuple[float, float, float]:
         return (*self._start, self.params.leg.operating_height)
+
+    def _heading(self) -> float:
+        return self._body.yaw
 
     def _prepare(self) -> None:
         self._low = 0  # ticks on end with the hips too low
@@ -87,5 +96,5 @@ class WalkerWorld(BulletWorld):
         ):
             return False
         self._falls += 1
-        self._start = (body.x, body.y)
+        self._start, self._start_heading = (body.x, body.y), body.yaw
         return True

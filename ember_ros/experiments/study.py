@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ember_ros.experiments.trial import WINDOW, Outcome, Trial, code_sha256, outcome
+from ember_ros.experiments.trial import Outcome, Trial, code_sha256, outcome
 from ember_ros.experiments.words import Claim, Found, Run, grid
 from ember_ros.params import Params, replace
 from ember_ros.params_file import CONFIG, load_params
@@ -172,7 +172,8 @@ def collect(study: Study, size: Size, command: str, folder: Path) -> Found:
 
 
 NO_BODY = ("falls", "first_fall", "outside", "outside_settled", "cost_of_transport")
-"""Measures that mean nothing on a trainer."""
+NO_ANGLE = ("roll", "pitch", "turn", "drift", "heading")
+"""Measures that mean nothing on a trainer, and how the names of others begin."""
 
 
 def _run(trial: Trial, found: Outcome, folder: Path) -> Run:
@@ -181,15 +182,8 @@ def _run(trial: Trial, found: Outcome, folder: Path) -> Run:
     if trial.start is not None:
         line["start"] = trial.start.key
         line["start_cpu_s"] = outcome(trial.start, folder).measures["cpu_s"]
-    # A robot that is put back on its feet is turned, too: no turn of its own.
-    late = slice(-min(WINDOW, trial.cycles), None)
-    turns = found.cycles["turn_rad"][late][found.cycles["falls"][late] == 0]
-    line["turn_rad"] = float(abs(turns).mean()) if len(turns) else None
-    line["drift_rad"] = float(abs(turns.mean())) if len(turns) else None
     if trial.world == "trainer":
-        for name in (*NO_BODY, "turn_rad", "drift_rad"):
-            line.pop(name)
-        for name in [name for name in line if name.startswith(("roll", "pitch"))]:
+        for name in [name for name in line if name in NO_BODY or name.startswith(NO_ANGLE)]:
             line.pop(name)
     return line
 

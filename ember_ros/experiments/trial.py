@@ -28,7 +28,7 @@ from ember_ros.experiments.central import CentralLoop
 from ember_ros.loop import Loop
 from ember_ros.params import Params, params_sha256
 from ember_ros.plan import Plan
-from ember_ros.report.recorder import Recorder, Row
+from ember_ros.report.recorder import TRACE, Recorder, Row
 from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
 from ember_ros.versions import versions
 from leg_node.gait import LegGait
@@ -260,7 +260,7 @@ def _keep(
     draft = Path(tempfile.mkdtemp(prefix=".draft_", dir=folder))
     try:
         rows, shown = recorder.body_rows(), SHOWN * trial.params.gait.ticks
-        traces = np.frombuffer(recorder.traces).reshape(-1, 4)[:, 2:]
+        traces = np.frombuffer(recorder.traces).reshape(-1, len(TRACE))[:, 2:4]
         columns = {
             name: np.array([getattr(row, name) for row in rows], dtype=float) for name in COLUMNS
         }
@@ -280,12 +280,12 @@ def _keep(
 def _measures(params: Params, recorder: Recorder, work: float) -> dict[str, Any]:
     """Return what is told of a run."""
     rows = recorder.body_rows()
-    traces = np.frombuffer(recorder.traces).reshape(-1, 4)
+    traces = np.frombuffer(recorder.traces).reshape(-1, len(TRACE))
     window = min(WINDOW, len(rows)) * params.gait.ticks
     summary = recorder.summary()
     out = [(r.tilt_max_rad or 0.0) > TILT_RAD or (r.height_min_m or 0.0) < LOW_M for r in rows]
     way = sum(r.distance_m or 0.0 for r in rows)
-    late = rows[-min(WINDOW, len(rows)) :]
+    early, late = rows[:WINDOW], rows[-min(WINDOW, len(rows)) :]
     leg, walker = params.leg, params.walker
     legs = len(recorder.rows) // len(rows) - 1
     mass = walker.mass + legs * (leg.thigh_mass + leg.shank_mass + leg.foot_mass)
@@ -304,7 +304,10 @@ def _measures(params: Params, recorder: Recorder, work: float) -> dict[str, Any]
         "duty_factor": sum(r.duty_factor for r in late) / len(late),
         "slip_m": sum(r.slip_m for r in late) / len(late),
         "turn_rad": sum(abs(r.turn_rad or 0.0) for r in late) / len(late),
-        "drift_rad": abs(sum(r.turn_rad or 0.0 for r in late)) / len(late),
+        "heading_change_rad": summary["heading_change_rad"],
+        "drift_rad": _drift(rows),
+        "drift_first_rad": _drift(early),
+        "drift_last_rad": _drift(late),
         "roll_sd_rad": float(traces[:, 2].std()),
         "pitch_sd_rad": float(traces[:, 3].std()),
         "roll_sd_first_rad": float(traces[:window, 2].std()),
@@ -313,6 +316,11 @@ def _measures(params: Params, recorder: Recorder, work: float) -> dict[str, Any]
         "pitch_sd_last_rad": float(traces[-window:, 3].std()),
         "cost_of_transport": work / (mass * params.physics.gravity * way) if way > 0.0 else None,
     }
+
+
+def _drift(rows: Sequence[Row]) -> float:
+    """Return the size of the mean change of heading in a cycle, rad."""
+    return abs(sum(r.turn_rad or 0.0 for r in rows)) / len(rows)
 
 
 def _share(bits: Sequence[bool]) -> float | None:

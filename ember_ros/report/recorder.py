@@ -27,6 +27,8 @@ from leg_node.gait import LegGait
 
 CYCLES, MEASURED, TRACES = "cycles.csv", "measured.json", "traces.npy"
 """The files of a record: lines a cycle, the summary, and the body's pose at every tick."""
+TRACE = ("x_m", "y_m", "roll_rad", "pitch_rad", "yaw_rad")
+"""The columns of ``traces.npy``; yaw goes on past half a turn, it does not jump back."""
 BODY = "body"
 WINDOW = 200
 """Cycles at the beginning and at the end that the summary speaks of."""
@@ -58,6 +60,8 @@ class Row(NamedTuple):
     """Progress along the heading at the cycle's start; this and the rest for the body only."""
     turn_rad: float | None
     """Change of heading, to the left positive."""
+    yaw_rad: float | None
+    """Heading at the cycle's end; whole turns count."""
     roll_sd_rad: float | None
     pitch_sd_rad: float | None
     tilt_max_rad: float | None
@@ -103,7 +107,7 @@ class Recorder:
         """
         self.rows: list[Row] = []
         self.traces = array("d")
-        """x, y (m), roll and pitch (rad) of the body at each tick, one after the other."""
+        """The pose of the body at each tick, as in ``TRACE``, one after the other."""
         self._legs = tuple(legs)
         self._ticks = params.gait.ticks
         self._gaits = [LegGait(params.gait, leg) for leg in legs]
@@ -117,6 +121,7 @@ class Recorder:
         self._phase: Phase | None = None
         self._poses: list[BodyState] = []  # at the start of each tick of this cycle
         self._body = BodyState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+        self._turns = 0  # of the body so far, whole ones
         self._stances: list[bool] = []
         self._first_fall: int | None = None
         self._absences = dict.fromkeys(legs, 0)
@@ -156,7 +161,7 @@ class Recorder:
             for leg, command in zip(self._legs, commands, strict=True):
                 self._absences[leg] += command is None
         self._poses.append(body)
-        self.traces.extend((body.x, body.y, body.roll, body.pitch))
+        self.traces.extend((body.x, body.y, body.roll, body.pitch, self._yaw()))
         self._phase = phase
         self._stances = [gait.stance(phase) for gait in self._gaits]
 
@@ -173,7 +178,7 @@ class Recorder:
             self._file = None
             text = json.dumps(self.summary(), indent=2) + "\n"
             (self._folder / MEASURED).write_text(text, encoding="utf-8")
-            np.save(self._folder / TRACES, np.frombuffer(self.traces).reshape(-1, 4))
+            np.save(self._folder / TRACES, np.frombuffer(self.traces).reshape(-1, len(TRACE)))
 
     def _end_tick(
         self,
@@ -185,6 +190,7 @@ class Recorder:
         before, self._body = self._body, body
         if self._phase is None:
             return
+        self._turns += round((before.yaw - body.yaw) / math.tau)  # it jumped where it passed pi
         for sums, did in zip(self._sums, transitions, strict=True):
             if did is not None and did.credited:
                 sums.paid += 1
@@ -217,7 +223,7 @@ class Recorder:
             share = sums.contact / sums.stance if sums.stance else 0.0
             reward = sum(terms.values())
             duty = sums.down / ticks
-            rows.append(Row(cycle, leg, sums.peak, reward, share, duty, sums.slip, *[None] * 7))
+            rows.append(Row(cycle, leg, sums.peak, reward, share, duty, sums.slip, *[None] * 8))
         rolls, pitches = [p.roll for p in poses], [p.pitch for p in poses]
         rows.append(
             Row(
@@ -230,6 +236,7 @@ class Recorder:
                 sum(row.slip_m for row in rows) / n_legs,
                 (end.x - start.x) * math.cos(start.yaw) + (end.y - start.y) * math.sin(start.yaw),
                 math.remainder(end.yaw - start.yaw, math.tau),
+                self._yaw(),
                 statistics.pstdev(rolls),
                 statistics.pstdev(pitches),
                 max(map(abs, rolls + pitches)),
@@ -250,6 +257,10 @@ class Recorder:
         self._poses = []
         self._sums = [_Sums() for _ in self._legs]
 
+    def _yaw(self) -> float:
+        """Return the body's heading, whole turns counted, rad."""
+        return self._body.yaw + self._turns * math.tau
+
     def body_rows(self) -> list[Row]:
         """Return the body's lines, one a cycle."""
         return self.rows[len(self._legs) :: len(self._legs) + 1]
@@ -257,12 +268,13 @@ class Recorder:
     def summary(self) -> dict[str, Any]:
         """Return what ``summary.json`` says of the run itself: plain numbers by name."""
         rows = self.body_rows()
-        traces = np.frombuffer(self.traces).reshape(-1, 4)
+        traces = np.frombuffer(self.traces).reshape(-1, len(TRACE))
         return {
             "cycles": len(rows),
             "falls": self._body.falls,
             "first_fall": self._first_fall,
             "distance_per_cycle_m": _mean(row.distance_m for row in rows),
+            "heading_change_rad": self._yaw() - float(traces[0, 4]) if len(traces) else None,
             "roll_sd_rad": float(traces[:, 2].std()) if len(traces) else None,
             "pitch_sd_rad": float(traces[:, 3].std()) if len(traces) else None,
             "first": _window(rows[:WINDOW], self.terms[:WINDOW]),
@@ -281,7 +293,7 @@ class Record(NamedTuple):
 
     rows: list[Row]
     traces: np.ndarray[Any, np.dtype[np.float64]]
-    """x, y (m), roll and pitch (rad) of the body at each tick, ``(ticks, 4)``."""
+    """The body's pose at each tick, ``(ticks, len(TRACE))``."""
     measured: dict[str, Any]
 
     def body_rows(self) -> list[Row]:

@@ -185,14 +185,17 @@ def gaits(found: Found) -> list[str]:
             ("duty_factor", ".2f"),
             ("cost_of_transport", ".2f"),
             ("turn_rad", ".4f"),
+            ("drift_first_rad", ".4f"),
             ("drift_rad", ".4f"),
+            ("heading_change_rad", "+.2f"),
         ):
             known = forward or name != "cost_of_transport"
             cells.append(words.spread(words.column(runs, name), form) if known else "-")
         lines.append(cells)
     heads = ("learner", "seeds", "distance a step, m", "slip a step, m", "peak force, N")
-    rest = ("stance contact", "duty factor", "cost of transport", "turn, rad", "drift, rad")
-    return words.grid((*heads, *rest), lines)
+    rest = ("stance contact", "duty factor", "cost of transport", "turn, rad")
+    drifts = (f"drift, rad, first {WINDOW}", "drift, rad, all", "heading change, rad, all")
+    return words.grid((*heads, *rest, *drifts), lines)
 
 
 def compared(found: Found) -> list[str]:
@@ -249,8 +252,9 @@ def text(found: Found) -> list[str]:
         "",
         "Cost of transport, over the whole walk: positive work of the legs' motors by weight and "
         "way; the work is read once a tick, at its end, and misses part of what speeds a joint up. "
-        "Turn: mean size of the change of heading in a step; drift: size of the mean change; steps "
-        "with a fall left out.",
+        "Turn: mean size of the change of heading in a step; drift: size of the mean change, in the "
+        "first steps and in all; heading change: from the start to the end, to the left positive, "
+        "whole turns counted.",
         "",
         "Beside them, in the same body:",
         "",
