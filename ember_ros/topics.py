@@ -85,10 +85,26 @@ class Topic(NamedTuple):
     ) -> Subscription:
         """Return a new subscription of ``node`` that hears serialized messages.
 
-        It holds more than the latest: a second publisher must not push the first one's out.
+        It holds more than the latest: a second publisher must not push the first one's out. A
+        publisher that it cannot hear is told of, with what would be right.
         """
+        from rclpy.event_handler import SubscriptionEventCallbacks
+        from rclpy.qos import qos_policy_name_from_kind
+
+        def cannot_hear(event: Any) -> None:
+            policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
+            node.get_logger().warning(
+                f"a publisher of {node.resolve_topic_name(self.name)} cannot be heard for its "
+                f"{policy}: reliable and transient_local, keeping the last, would be right"
+            )
+
         return node.create_subscription(
-            class_of(self.kind), self.name, hear, latest(held), raw=True
+            class_of(self.kind),
+            self.name,
+            hear,
+            latest(held),
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=cannot_hear),
+            raw=True,
         )
 
 

@@ -581,6 +581,26 @@ def test_a_leg_without_a_table_says_whom_it_waits_for(
     assert not says("waiting for the table_node: nobody serves /table/push")
 
 
+def test_a_publisher_that_cannot_be_heard_is_named_with_what_would_be_right(
+    ros: Ros, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A real leg's command with the default quality of service is volatile, and reaches nobody."""
+    make(ros, SimNode, world="trainer")
+    kind = topics.class_of(topics.JOINT_STATE)
+    publisher = ros.node.create_publisher(kind, "leg/command", 10)
+    said: list[str] = []
+
+    def says() -> bool:
+        said.append(capfd.readouterr().err)
+        return (
+            "a publisher of /leg/command cannot be heard for its durability: reliable and "
+            "transient_local, keeping the last, would be right"
+        ) in "".join(said)
+
+    ros.spin_until(says, "which topic, and what would be right")
+    ros.node.destroy_publisher(publisher)
+
+
 def test_a_table_is_needed_as_long_as_a_leg_is_there(ros: Ros) -> None:
     """It goes on serving who could hand in; legs that share nothing are nothing to it."""
     table = make(ros, TableNode)
