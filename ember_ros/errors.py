@@ -36,7 +36,21 @@ def shown(value: Any) -> str:
 
 
 class EmberError(Exception):
-    """Base of all errors that ember_ros raises on purpose."""
+    """Base of all errors that ember_ros raises on purpose.
+
+    A message is short and can be printed, whatever a file or a message of others put into it.
+    """
+
+    MOST = 2000
+    """Characters; of a longer message the middle is left out."""
+
+    def __str__(self) -> str:
+        """Return the message."""
+        text, half = super().__str__(), self.MOST // 2 - 3
+        if len(text) > self.MOST:
+            text = f"{text[:half]} ... {text[-half:]}"
+        # What a terminal would obey, and what no encoding has, is spelt out.
+        return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
 class ParameterError(EmberError):

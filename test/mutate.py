@@ -398,10 +398,11 @@ def change_table(file: Path, rng: Rng) -> None:
         for each, part in members:
             content.writestr(each, part)
     if rng.random() < 0.3:  # what the directory says of a member
-        told, form = bytearray(file.read_bytes()), rng.choice(["<I", "<H"])
-        at = told.find(b"PK\x01\x02") + rng.randrange(8, 46)
-        told[at : at + 4] = struct.pack(form, rng.choice(SIZES) % (1 << 8 * struct.calcsize(form)))
-        file.write_bytes(told)
+        out, form = bytearray(file.read_bytes()), rng.choice(["<I", "<H"])
+        size = struct.calcsize(form)
+        at = out.find(b"PK\x01\x02") + rng.randrange(8, 46)
+        out[at : at + size] = struct.pack(form, rng.choice(SIZES) % (1 << 8 * size))
+        file.write_bytes(out)
     return None
 
 
@@ -445,14 +446,14 @@ def closed_chunk(
     inside: bytes, rng: Rng, *, size: int | None = None, first: int = 0, last: int = 0
 ) -> bytes:
     """Return a chunk of anything, compressed in some way, that tells some size."""
-    how = rng.choice(["zstd", "zstd", "lz4", "", "bz2"])
-    coders: dict[str, Callable[[], bytes]] = {
-        "zstd": lambda: zstandard.ZstdCompressor(write_content_size=rng.random() < 0.7).compress(
-            inside
-        ),
-        "lz4": lambda: lz4.frame.compress(inside, store_size=rng.random() < 0.5),
-    }
-    coded = coders.get(how, lambda: inside)()
+    ways = ["zstd", "zstd", "lz4", "", "bz2"]
+    how = rng.choice(ways[:3] if len(inside) > 1 << 16 else ways)
+    coded = inside
+    if how == "zstd":
+        packer = zstandard.ZstdCompressor(write_content_size=rng.random() < 0.7)
+        coded = packer.compress(inside)
+    elif how == "lz4":
+        coded = lz4.frame.compress(inside, store_size=rng.random() < 0.5)
     told = len(inside) if size is None else size
     crc = rng.choice([0, zlib.crc32(inside)])
     return (

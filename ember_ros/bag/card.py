@@ -6,13 +6,17 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
-from ember_ros.errors import BagError, ParameterError
+from ember_ros.errors import BagError, ParameterError, shown
+from ember_ros.given import read_json
 from ember_ros.params import Params, as_dict, params_sha256, replace
 from ember_ros.plan import Plan, legs_of, stage_of
 from leg_node.table import Table
 
+T = TypeVar("T")
+MOST_CHARACTERS = 1 << 20
+"""Of a card: a hundred times what one has."""
 FORMAT = 1
 """Of the card; a reader knows its own and all before."""
 
@@ -117,14 +121,14 @@ def read_card(text: str, where: str) -> Card:
         BagError: it is none, or of a later format than this version knows.
     """
     try:
-        content = json.loads(text)
+        content = read_json(text, MOST_CHARACTERS)
         found = content["format"]
     except (ValueError, KeyError, TypeError) as error:
         raise BagError(f"{where} is no card of a run: {error!r}") from error
     if found != FORMAT:
         raise BagError(
-            f"{where} is of format {found!r}, and this version knows {FORMAT}; a newer ember_ros "
-            "reads it"
+            f"{where} is of format {shown(found)}, and this version knows {FORMAT}; a newer "
+            "ember_ros reads it"
         )
     try:
         flat = {
@@ -137,8 +141,8 @@ def read_card(text: str, where: str) -> Card:
             legs={leg: _leg(told) for leg, told in content["legs"].items()},
             params=replace(Params(), flat),
             start_table_sha256=_text(content["start_table_sha256"]),
-            first_tick=int(content["first_tick"]),
-            versions={name: str(version) for name, version in content["versions"].items()},
+            first_tick=_of(int, content["first_tick"]),
+            versions={name: _of(str, each) for name, each in content["versions"].items()},
         )
     except (
         KeyError, TypeError, ValueError, OverflowError, AttributeError, ParameterError
@@ -155,20 +159,27 @@ def read_card(text: str, where: str) -> Card:
 def _leg(told: Mapping[str, Any]) -> LegCard:
     return LegCard(
         _one_of(told["stage"], ("train", "walk")),
-        int(told["seed"]),
-        str(told["policy"]),
-        bool(told["learning"]),
-        bool(told["shared"]),
+        _of(int, told["seed"]),
+        _of(str, told["policy"]),
+        _of(bool, told["learning"]),
+        _of(bool, told["shared"]),
     )
+
+
+def _of(kind: type[T], value: Any) -> T:
+    """Return a value that is of a kind, and not something that could be made into it."""
+    if type(value) is not kind:
+        raise TypeError(f"{shown(value)} is no {kind.__name__}")
+    return value
 
 
 def _text(value: Any) -> str | None:
     if not isinstance(value, str | None):
-        raise TypeError(f"{value!r} is no text")
+        raise TypeError(f"{shown(value)} is no text")
     return value
 
 
 def _one_of(value: Any, choices: Sequence[str]) -> str:
     if value not in choices:
-        raise ValueError(f"{value!r} is not {' or '.join(choices)}")
+        raise ValueError(f"{shown(value)} is not {' or '.join(choices)}")
     return str(value)

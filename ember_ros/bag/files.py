@@ -20,12 +20,19 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path, PurePath
 from typing import Any, BinaryIO, NamedTuple, Protocol, TypeAlias
 
+from ember_ros.bag.guard import (
+    MOST_BYTES,
+    MOST_OPEN,
+    MOST_RECORDS,
+    MOST_TOLD,
+    check_database,
+    check_file,
+)
 from ember_ros.bag.storage import METADATA, STORAGES, VERSION, needs_rosbags, read_metadata
-from ember_ros.errors import BagError
+from ember_ros.errors import BagError, shown
+from ember_ros.given import open_file
 
-MOST_BYTES = 1 << 26
-"""Of a chunk or a message when it is unpacked: more is said before anything is unpacked."""
-MOST_TIMES = 1000
+MOST_TIMES = 100
 """That a whole file may grow when it is unpacked; recordings grow tenfold."""
 _ZSTD = b"\x28\xb5\x2f\xfd"
 MAGIC = b"\x89MCAP0\r\n"
@@ -64,6 +71,8 @@ class _Source(NamedTuple):
 
     first: int
     messages: Callable[[], Iterator[Message]]
+    size: int
+    """Bytes that it keeps in memory while it is open."""
 
 
 class _Storage(Protocol):
@@ -87,6 +96,10 @@ def _zstd() -> Any:
     return zstandard
 
 
+def _decompressor() -> Any:
+    return _zstd().ZstdDecompressor(max_window_size=MOST_BYTES)
+
+
 def unpack(data: bytes, compression: str, size: int) -> bytes:
     """Return what was compressed, without ever holding more than ``size`` bytes of it and one.
 
@@ -98,14 +111,14 @@ def unpack(data: bytes, compression: str, size: int) -> bytes:
     if compression == "":
         found = data
     elif compression == "zstd":
-        with _zstd().ZstdDecompressor().stream_reader(data) as reader:
+        with _decompressor().stream_reader(data) as reader:
             found = reader.read(size + 1)
     elif compression == "lz4":
         import lz4.frame
 
         found = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
     else:
-        raise ValueError(f"compressed as {compression!r}; zstd or lz4 would be right")
+        raise ValueError(f"compressed as {shown(compression)}; zstd or lz4 would be right")
     if len(found) != size:
         raise ValueError(f"{len(found)} bytes are unpacked instead of {size}")
     return bytes(found)
@@ -119,7 +132,7 @@ def plain(data: bytes) -> bytes:
     """
     if data[:4] != _ZSTD:
         return data
-    with _zstd().ZstdDecompressor().stream_reader(data, read_across_frames=True) as reader:
+    with _decompressor().stream_reader(data, read_across_frames=True) as reader:
         found = bytes(reader.read(MOST_BYTES + 1))
     if len(found) > MOST_BYTES:
         raise ValueError(f"a message of more than {MOST_BYTES} bytes when it is unpacked")
@@ -135,13 +148,13 @@ def unpacked(file: Path, folder: Path) -> Path:
     Raises:
         ValueError: it grows beyond all measure.
     """
-    with file.open("rb") as raw:
+    with open_file(file) as raw:
         if raw.read(4) != _ZSTD:
             return file
         raw.seek(0)
         into, most, size = folder / file.stem, file.stat().st_size * MOST_TIMES, 0
         with into.open("wb") as out:
-            for part in _zstd().ZstdDecompressor().read_to_iter(raw):
+            for part in _decompressor().read_to_iter(raw):
                 size += len(part)
                 if size > most:
                     raise ValueError(f"{file} grows to more than {MOST_TIMES} times its size")
@@ -173,6 +186,8 @@ class Channels:
         self.keys: dict[int, Key] = {}
         self.counted: dict[int, int] = {}
         """Messages a channel, as the file's statistics have it."""
+        self._learnt: dict[tuple[int, bytes], bytes] = {}
+        self._size = 0
         self._schemas: dict[int, tuple[str, tuple[str, bytes]]] = {}
         self._told: dict[int, tuple[str, tuple[str, bytes], dict[str, str]]] = {}
 
@@ -182,8 +197,12 @@ class Channels:
         Raises:
             ValueError: it is cut off, or tells something else than one before it.
         """
-        if kind not in (SCHEMA, CHANNEL, STATISTICS):
+        if kind not in (SCHEMA, CHANNEL, STATISTICS) or self._learnt.get((kind, data[:2])) == data:
             return
+        self._learnt[kind, data[:2]] = data
+        self._size += len(data)
+        if self._size > MOST_TOLD:
+            raise ValueError(f"more than {MOST_TOLD} bytes about its topics")
         from mcap import records
         from mcap.data_stream import ReadDataStream
 
@@ -219,9 +238,9 @@ class Mcap:
             ValueError: it is cut off or damaged.
         """
         self._channels = Channels()
-        self._chunks: list[tuple[int, int, int]] = []
+        self._chunks: list[tuple[int, int, int, int]] = []
         self._runs: list[_Run] = []
-        self._file = file.open("rb")
+        self._file = open_file(file)
         try:
             self._walk()
             counts = self._counts()
@@ -260,10 +279,12 @@ class Mcap:
                     self._runs[-1] = self._runs[-1]._replace(end=at)
                 run = self._runs[-1].first, ns
             elif kind == CHUNK:
-                first = struct.unpack("<Q", raw.read(8))[0]
-                self._chunks.append((first, begin + HEAD.size, length))
+                if length < _OF_CHUNK.size:
+                    raise ValueError("a chunk is damaged")
+                first, _, grown, _, _ = _OF_CHUNK.unpack(raw.read(_OF_CHUNK.size))
+                self._chunks.append((first, begin + HEAD.size, length, grown))
             elif kind in (SCHEMA, CHANNEL, STATISTICS):
-                self._channels.learn(kind, raw.read(length))
+                self._channels.learn(kind, bounded(raw, length))
             elif kind == FOOTER:
                 break
             raw.seek(at)
@@ -300,16 +321,16 @@ class Mcap:
             return read
 
         for place in self._chunks:
-            yield _Source(place[0], reads(self._in_chunk, place))
+            yield _Source(place[0], reads(self._in_chunk, place), place[3])
         for run in self._runs:
-            yield _Source(run.first, reads(self._in_run, run))
+            yield _Source(run.first, reads(self._in_run, run), 0)
 
-    def _in_chunk(self, place: tuple[int, int, int]) -> Iterator[tuple[int, int, bytes]]:
+    def _in_chunk(self, place: tuple[int, int, int, int]) -> Iterator[tuple[int, int, bytes]]:
         """Yield the messages of a chunk by their times: time, channel, bytes."""
-        _, at, length = place
+        _, at, length, _ = place
         self._file.seek(at)
         found = []
-        for kind, data in records_in(chunk(self._file.read(length))):
+        for kind, data in records_in(chunk(bounded(self._file, length))):
             if kind == MESSAGE:
                 found.append(message_in(data))
             else:
@@ -323,7 +344,7 @@ class Mcap:
             kind, length = HEAD.unpack(self._file.read(HEAD.size))
             at += HEAD.size + length
             if kind == MESSAGE:
-                yield message_in(self._file.read(length))
+                yield message_in(bounded(self._file, length))
 
     def check(self) -> None:
         """Hold the file against the CRCs of its data and of its summary, where there are any.
@@ -343,6 +364,13 @@ class Mcap:
         there = (kind, length) == (_DATA_END, 4) and expected
         if there and _crc(self._file, 0, end - HEAD.size - 4) != expected:
             raise ValueError("its data are not as they were written")
+
+
+def bounded(raw: BinaryIO, length: int) -> bytes:
+    """Return what a record holds."""
+    if length > MOST_BYTES:
+        raise ValueError(f"a record of {length} bytes; up to {MOST_BYTES} are read")
+    return raw.read(length)
 
 
 class _Exactly:
@@ -400,10 +428,13 @@ def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield the records of an unpacked chunk: what each is, and its bytes.
 
     Raises:
-        ValueError: one is cut off.
+        ValueError: one is cut off, or there are too many.
     """
-    at = 0
+    at = count = 0
     while at < len(data):
+        count += 1
+        if count > MOST_RECORDS:
+            raise ValueError(f"more than {MOST_RECORDS} records in one chunk")
         if at + HEAD.size > len(data):
             raise ValueError("a chunk is damaged")
         kind, length = HEAD.unpack_from(data, at)
@@ -432,7 +463,7 @@ class Sqlite3:
         uri = f"{file.resolve().as_uri()}?mode=ro&immutable=1"
         self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
         try:
-            self._database.execute("PRAGMA trusted_schema=OFF")
+            check_database(self._database, file.stat().st_size)
             self.connections: dict[Key, Connection] = {}
             self._topics: dict[int, Key] = {}
             self._read_topics()
@@ -475,7 +506,9 @@ class Sqlite3:
             f"SELECT {', '.join(fields)} FROM topics ORDER BY id"
         ):
             if not (isinstance(name, str) and isinstance(kind, str)):
-                raise ValueError(f"topic {number} has the name {name!r} and the type {kind!r}")
+                raise ValueError(
+                    f"topic {shown(number)} has the name {shown(name)} and the type {shown(kind)}"
+                )
             key = name, kind
             more = dict(zip(fields[4:], map(str, rest), strict=True))
             if "type_description_hash" in more:
@@ -510,7 +543,7 @@ class Sqlite3:
                 yield Message(ns, *self._topics[number], plain(data))
 
         if first is not None:
-            yield _Source(first if type(first) is int else start, read)
+            yield _Source(first if type(first) is int else start, read, 0)
 
     def check(self) -> None:
         """Have SQLite look at all of its pages.
@@ -535,20 +568,25 @@ def number(value: Any, what: str) -> int:
     text = value.strip() if isinstance(value, str) else value
     if type(text) is int or (isinstance(text, str) and text.isdecimal() and len(text) < 20):
         return int(text)
-    raise ValueError(f"its {METADATA} says {value!r} for {what}; a whole number would be right")
+    raise ValueError(f"its {METADATA} says {shown(value)} for {what}; a whole number is right")
 
 
 def _order(sources: Iterator[_Source]) -> Iterator[Message]:
     """Yield what the sources have by its times, with no source open before it is due."""
     waiting = sorted(enumerate(sources), key=lambda each: (each[1].first, each[0]), reverse=True)
     heap: list[tuple[int, int, Message, Iterator[Message]]] = []
+    sizes: dict[int, int] = {}
     while heap or waiting:
         while waiting and (not heap or waiting[-1][1].first <= heap[0][0]):
             n, source = waiting.pop()
-            messages = source.messages()
+            messages, sizes[n] = source.messages(), source.size
+            if len(sizes) > 1 and sum(sizes.values()) > MOST_OPEN:
+                raise ValueError(f"chunks of more than {MOST_OPEN} bytes are of the same time")
             for message in messages:
                 heapq.heappush(heap, (message.ns, n, message, messages))
                 break
+            else:
+                del sizes[n]
         if not heap:
             continue
         _, n, message, messages = heap[0]
@@ -556,6 +594,7 @@ def _order(sources: Iterator[_Source]) -> Iterator[Message]:
         following = next(messages, None)
         if following is None:
             heapq.heappop(heap)
+            del sizes[n]
         else:
             heapq.heapreplace(heap, (following.ns, n, following, messages))
 
@@ -601,27 +640,29 @@ class Files:
             version = number(version, "version")
         if type(version) is not int or version > VERSION:
             raise BagError(
-                f"{folder} is a bag of version {version!r}; versions up to {VERSION} are known"
+                f"{folder} is a bag of version {shown(version)}; versions up to {VERSION} are known"
             )
         storage = told.get("storage_identifier") or ""
         if storage and storage not in STORAGES:
             raise BagError(
-                f"{folder} is stored as {storage!r}; {' or '.join(STORAGES)} would be right"
+                f"{folder} is stored as {shown(storage)}; {' or '.join(STORAGES)} would be right"
             )
         packed = str(told.get("compression_format") or "zstd")
         if packed != "zstd" and str(told.get("compression_mode") or "none").lower() != "none":
-            raise BagError(f"{folder} is compressed as {packed!r}; zstd would be right")
+            raise BagError(f"{folder} is compressed as {shown(packed)}; zstd would be right")
         names = told.get("relative_file_paths")
         if not isinstance(names, list) or not names:
             raise ValueError(f"its {METADATA} names no file")
         # Some versions wrote folder/file; and no file of a bag lies anywhere but in its folder.
         self.paths = [folder / PurePath(str(name)).name for name in dict.fromkeys(map(str, names))]
-        missing = [file.name for file in self.paths if not file.is_file()]
+        missing = [file.name for file in self.paths if not os.path.lexists(file)]
         if missing:
             raise BagError(
                 f"{folder} has {METADATA}, and of the files named there {', '.join(missing)} is "
                 f"missing; `ember bag repair {folder}` makes a bag of those that are there"
             )
+        for file in self.paths:
+            check_file(file, folder)
         for each in told.get("topics_with_message_count") or ():
             topic = each["topic_metadata"]
             key = str(topic["name"]), str(topic["type"])
@@ -629,7 +670,7 @@ class Files:
             self._expected[key] += number(each["message_count"], f"the messages of {key[0]}")
 
     def _open(self, file: Path) -> None:
-        with file.open("rb") as raw:
+        with open_file(file) as raw:
             begins = raw.read(16)
         if not begins:
             raise ValueError(f"the file {file.name} is empty")

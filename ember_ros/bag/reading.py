@@ -346,10 +346,10 @@ class Bag:
 
         def read_crc(data: bytes) -> tuple[int, Any]:
             shape, before, numbers = wire.read_array(data, "I", crc)
-            if shape[1:] != (len(self.legs),) or len(before) != 8:
+            if shape[1:] != (len(self.legs),) or len(before) != 8 or shape[0] > LATE:
                 raise SignalError(
-                    f"{crc}: an array of {shape}; (ticks, {len(self.legs)}), and two numbers "
-                    "before it, would be right"
+                    f"{crc}: an array of {shape}; (up to {LATE} ticks, {len(self.legs)}), and two "
+                    "numbers before it, would be right"
                 )
             (count, legs) = shape
             low, high = np.frombuffer(before, "<u4").tolist()
@@ -357,6 +357,8 @@ class Bag:
             for tick, row in enumerate(rows, low + (high << 32)):
                 seen.recorded[tick] = tuple(row)
                 self._check(tick, seen)
+            while len(seen.recorded) > 4 * LATE:  # of ticks that are not in the bag
+                del seen.recorded[next(iter(seen.recorded))]
             return -1, None
 
         readers: dict[str, Callable[[bytes], tuple[int, Any]]] = {

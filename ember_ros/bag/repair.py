@@ -12,8 +12,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-import yaml
-
 from ember_ros.bag.files import (
     CHANNEL,
     CHUNK,
@@ -27,6 +25,7 @@ from ember_ros.bag.files import (
     Files,
     Key,
     Sqlite3,
+    bounded,
     chunk,
     files_of,
     message_in,
@@ -34,6 +33,7 @@ from ember_ros.bag.files import (
     records_in,
     unpacked,
 )
+from ember_ros.bag.guard import check_file, load_yaml
 from ember_ros.bag.storage import (
     METADATA,
     QOS,
@@ -46,6 +46,7 @@ from ember_ros.bag.storage import (
     read_metadata,
 )
 from ember_ros.errors import BagError
+from ember_ros.given import open_file
 
 FLUSH_MESSAGES = 1000
 """Messages a chunk, where those that are brought back lay in none."""
@@ -246,8 +247,8 @@ def _qos(told: Any) -> Sequence[Any]:
     """
     if isinstance(told, str):
         try:
-            told = yaml.safe_load(told)
-        except (yaml.YAMLError, ValueError):
+            told = load_yaml(told)
+        except ValueError:
             return QOS
     if not isinstance(told, list) or not all(isinstance(each, dict) for each in told):
         return QOS
@@ -288,6 +289,11 @@ def _files(folder: Path) -> list[Path]:
         return int(found[1]) if found else -1, file.name
 
     every = files_of(folder)
+    try:
+        for file in every:
+            check_file(file, folder)
+    except ValueError as error:
+        raise BagError(f"{folder}: {error}") from error
     for end in STORAGES.values():
         files = sorted((file for file in every if end in file.suffixes), key=number)
         if files:
@@ -308,7 +314,7 @@ def _copy_mcap(file: Path, copy: _Copy) -> None:
     """Copy every whole chunk, each as a chunk again."""
     channels = Channels()
     size, whole = file.stat().st_size, 0
-    with file.open("rb") as raw:
+    with open_file(file) as raw:
         # What channels there are is said again at the end of a file that was finished.
         for _, inside, _ in _records(raw, size):
             for kind, data in inside or ():
@@ -364,7 +370,7 @@ def _records(raw: BinaryIO, size: int) -> Iterator[tuple[int, list[tuple[int, by
             return
         inside: list[tuple[int, bytes]] | None
         try:
-            data = raw.read(length) if kind in (CHUNK, MESSAGE, SCHEMA, CHANNEL) else b""
+            data = bounded(raw, length) if kind in (CHUNK, MESSAGE, SCHEMA, CHANNEL) else b""
             inside = list(records_in(chunk(data))) if kind == CHUNK else [(kind, data)]
             inside = [(each, _sent(told) if each == MESSAGE else told) for each, told in inside]
         except Exception:  # zstd, lz4 and struct raise nearly anything
