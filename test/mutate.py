@@ -777,7 +777,7 @@ def one(name: str, n: int, corpus: Path, folder: Path) -> tuple[str, Watch, str]
         except EmberError as error:
             outcome, said = "refused", str(error)
         except Slow:
-            outcome, said = "failed", f"more than {LIMIT_S} s"
+            outcome, said = "failed", f"more than {LIMIT_S} s: {traceback.format_exc()}"
         except BaseException:
             outcome, said = "failed", traceback.format_exc()
     if outcome == "refused" and (len(said) > MOST_SAID or "\n" in said or not said.isprintable()):

@@ -24,16 +24,16 @@ from ember_ros.bag.guard import (
     MOST_BYTES,
     MOST_OPEN,
     MOST_RECORDS,
+    MOST_TIMES,
     MOST_TOLD,
     check_database,
     check_file,
+    check_topics,
 )
 from ember_ros.bag.storage import METADATA, STORAGES, VERSION, needs_rosbags, read_metadata
 from ember_ros.errors import BagError, shown
 from ember_ros.given import open_file
 
-MOST_TIMES = 100
-"""That a whole file may grow when it is unpacked; recordings grow tenfold."""
 _ZSTD = b"\x28\xb5\x2f\xfd"
 MAGIC = b"\x89MCAP0\r\n"
 _SQLITE = b"SQLite format 3\0"
@@ -100,14 +100,14 @@ def _decompressor() -> Any:
     return _zstd().ZstdDecompressor(max_window_size=MOST_BYTES)
 
 
-def unpack(data: bytes, compression: str, size: int) -> bytes:
+def unpack(data: bytes, compression: str, size: int, most: int = MOST_BYTES) -> bytes:
     """Return what was compressed, without ever holding more than ``size`` bytes of it and one.
 
     Raises:
         ValueError: it is of another size, too large, or compressed in another way.
     """
-    if size > MOST_BYTES:
-        raise ValueError(f"{size} bytes in one chunk; up to {MOST_BYTES} are unpacked")
+    if size > most:
+        raise ValueError(f"{size} bytes in one chunk; up to {most} are unpacked")
     if compression == "":
         found = data
     elif compression == "zstd":
@@ -152,7 +152,12 @@ def unpacked(file: Path, folder: Path) -> Path:
         if raw.read(4) != _ZSTD:
             return file
         raw.seek(0)
-        into, most, size = folder / file.stem, file.stat().st_size * MOST_TIMES, 0
+        into, most = folder / file.stem, MOST_BYTES + file.stat().st_size * MOST_TIMES
+        size = _zstd().frame_content_size(raw.read(18))  # -1 where it is not said
+        raw.seek(0)
+        if size > most:
+            raise ValueError(f"{file} says that it grows to {size} bytes; up to {most} are right")
+        size = 0
         with into.open("wb") as out:
             for part in _decompressor().read_to_iter(raw):
                 size += len(part)
@@ -213,6 +218,7 @@ class Channels:
         elif kind == CHANNEL:
             channel = records.Channel.read(stream)
             name, text = self._schemas.get(channel.schema_id, ("", ("", b"")))
+            check_topics({*self.keys.values(), (channel.topic, name)})
             key = self.keys.setdefault(channel.id, (channel.topic, name))
             if key != (channel.topic, name):
                 raise ValueError(f"channel {channel.id} is {key}, and {channel.topic}, {name} too")
@@ -262,7 +268,7 @@ class Mcap:
         raw.seek(0)
         if raw.read(8) != MAGIC:
             raise ValueError("it begins neither as MCAP nor as SQLite")
-        at, run = 8, None
+        at, run, grown = 8, None, 0
         while True:
             head = raw.read(HEAD.size)
             if len(head) < HEAD.size:
@@ -281,8 +287,11 @@ class Mcap:
             elif kind == CHUNK:
                 if length < _OF_CHUNK.size:
                     raise ValueError("a chunk is damaged")
-                first, _, grown, _, _ = _OF_CHUNK.unpack(raw.read(_OF_CHUNK.size))
-                self._chunks.append((first, begin + HEAD.size, length, grown))
+                first, _, told, _, _ = _OF_CHUNK.unpack(raw.read(_OF_CHUNK.size))
+                self._chunks.append((first, begin + HEAD.size, length, told))
+                grown += told
+                if grown > MOST_BYTES + MOST_TIMES * size:
+                    raise ValueError(f"it grows to more than {MOST_TIMES} times its size")
             elif kind in (SCHEMA, CHANNEL, STATISTICS):
                 self._channels.learn(kind, bounded(raw, length))
             elif kind == FOOTER:
@@ -405,11 +414,11 @@ def message_in(data: bytes) -> tuple[int, int, bytes]:
     return ns, number, data[_OF_MESSAGE.size :]
 
 
-def chunk(data: bytes) -> bytes:
-    """Return what is inside an MCAP chunk, its CRC checked.
+def chunk(data: bytes, most: int = MOST_BYTES) -> bytes:
+    """Return what is inside an MCAP chunk, its CRC checked, of up to ``most`` bytes.
 
     Raises:
-        ValueError: it is damaged.
+        ValueError: it is damaged, or larger.
     """
     if len(data) < _OF_CHUNK.size:
         raise ValueError("a chunk is damaged")
@@ -418,7 +427,7 @@ def chunk(data: bytes) -> bytes:
     compression = data[_OF_CHUNK.size : at].decode(errors="replace")
     if len(data) < at + 8 or struct.unpack_from("<Q", data, at)[0] != len(data) - at - 8:
         raise ValueError("a chunk is damaged")
-    found = unpack(data[at + 8 :], compression, size)
+    found = unpack(data[at + 8 :], compression, size, min(most, MOST_BYTES))
     if crc and zlib.crc32(found) != crc:
         raise ValueError("a chunk has another CRC-32 than it names")
     return found
@@ -467,6 +476,7 @@ class Sqlite3:
             self.connections: dict[Key, Connection] = {}
             self._topics: dict[int, Key] = {}
             self._read_topics()
+            check_topics(self.connections)
         except BaseException:
             self.close()
             raise
@@ -668,6 +678,7 @@ class Files:
             key = str(topic["name"]), str(topic["type"])
             self.topics[key] = topic
             self._expected[key] += number(each["message_count"], f"the messages of {key[0]}")
+        check_topics(self.topics)
 
     def _open(self, file: Path) -> None:
         with open_file(file) as raw:

@@ -6,6 +6,7 @@ import sqlite3
 import stat
 import sys
 import time
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +14,20 @@ import yaml
 
 from ember_ros.errors import shown
 
-MOST_BYTES = 1 << 26
+MOST_BYTES = 1 << 25
 """Of a chunk or a message when it is unpacked: more is said before anything is unpacked."""
 MOST_OPEN = 1 << 25
 """Bytes of chunks that are open together, since the times of their messages overlap."""
-MOST_RECORDS = 500_000
+MOST_RECORDS = 200_000
 """In one chunk."""
+MOST_TIMES = 100
+"""That a file may grow when all in it is unpacked, and MOST_BYTES; recordings grow tenfold."""
+MOST_TOPICS, MOST_NAME = 5000, 1000
+"""Topics of a file, and characters of a topic or its type."""
 MOST_TOLD = 1 << 24
-"""Bytes of everything that one file tells of its topics, or of ``metadata.yaml``."""
+"""Bytes of everything that one file tells of its topics."""
+MOST_TEXT = 1 << 22
+"""Characters of a YAML text."""
 MOST_YAML, MOST_DEPTH = 200_000, 100
 """Nodes of a YAML text when every alias is written out, and how deep they may lie."""
 SLOWEST_S, SLOWEST_BYTES_S = 10.0, 20e6
@@ -35,17 +42,31 @@ def check_file(file: Path, folder: Path) -> None:
     """Hold that a file of a bag is one, and lies in the bag's folder.
 
     Raises:
+        OSError: it is not there.
         ValueError: it is a pipe, a device or a folder, or a link to somewhere else.
     """
     try:
         place = file.resolve(strict=True)
         regular = stat.S_ISREG(place.stat().st_mode)
-    except (OSError, RuntimeError) as error:  # Python 3.12 has no RuntimeError for a ring of links
-        raise ValueError(f"{file.name} cannot be followed: {error}") from error
+    except RuntimeError as error:  # before Python 3.13, where it is an OSError
+        raise ValueError(f"{file.name} is a link to itself") from error
     if not regular:
         raise ValueError(f"{file.name} is no regular file")
     if not place.is_relative_to(folder.resolve()):
         raise ValueError(f"{file.name} leads out of the folder, to {place}")
+
+
+def check_topics(topics: Collection[tuple[str, str]]) -> None:
+    """Hold that the topics of a file, and their types, can be those of a robot.
+
+    Raises:
+        ValueError: there are too many, or one has too long a name.
+    """
+    if len(topics) > MOST_TOPICS:
+        raise ValueError(f"{len(topics)} topics; up to {MOST_TOPICS} would be right")
+    for name in (name for topic in topics for name in topic):
+        if len(name) > MOST_NAME:
+            raise ValueError(f"a topic or a type of {len(name)} characters: {shown(name)}")
 
 
 def load_yaml(text: str) -> Any:
@@ -54,8 +75,8 @@ def load_yaml(text: str) -> Any:
     Raises:
         ValueError: it is none, is nested too deeply, or grows beyond all measure by its aliases.
     """
-    if len(text) > MOST_TOLD:
-        raise ValueError(f"{len(text)} characters of YAML; up to {MOST_TOLD} would be right")
+    if len(text) > MOST_TEXT:
+        raise ValueError(f"{len(text)} characters of YAML; up to {MOST_TEXT} would be right")
     try:
         _check_yaml(text)
         return yaml.load(text, LOADER)
@@ -121,6 +142,6 @@ def check_database(database: sqlite3.Connection, size: int) -> None:
                 raise ValueError(f"table {shown(name)} is computed; nothing in a bag is")
         (said,) = database.execute("PRAGMA quick_check(1)").fetchone()
         if said != "ok":
-            raise ValueError(str(said))
+            raise ValueError(" ".join(str(said).split()))
     finally:
         database.set_progress_handler(None, 0)

@@ -33,7 +33,7 @@ from ember_ros.bag.files import (
     records_in,
     unpacked,
 )
-from ember_ros.bag.guard import check_file, load_yaml
+from ember_ros.bag.guard import MOST_BYTES, MOST_TIMES, check_file, load_yaml
 from ember_ros.bag.storage import (
     METADATA,
     QOS,
@@ -48,6 +48,8 @@ from ember_ros.bag.storage import (
 from ember_ros.errors import BagError
 from ember_ros.given import open_file
 
+MOST_QOS = 100
+"""Profiles of one topic, which are its publishers."""
 FLUSH_MESSAGES = 1000
 """Messages a chunk, where those that are brought back lay in none."""
 
@@ -247,13 +249,13 @@ def _qos(told: Any) -> Sequence[Any]:
     """
     if isinstance(told, str):
         try:
-            told = load_yaml(told)
+            told = load_yaml(told if len(told) < MOST_QOS * 1000 else "")
         except ValueError:
             return QOS
-    if not isinstance(told, list) or not all(isinstance(each, dict) for each in told):
+    if not isinstance(told, list) or not all(map(_is_profile, told[:MOST_QOS])):
         return QOS
     profiles = []
-    for each in told:
+    for each in told[:MOST_QOS]:
         profile = dict(each)
         for name, words in _WORDS.items():
             if type(profile.get(name)) is int and 0 <= profile[name] < len(words):
@@ -262,10 +264,27 @@ def _qos(told: Any) -> Sequence[Any]:
     return profiles or QOS
 
 
+def _is_profile(told: Any) -> bool:
+    """Return whether something has the words and numbers of a profile, and nothing else."""
+
+    def plain(value: Any) -> bool:
+        return isinstance(value, (bool, int)) or (isinstance(value, str) and len(value) < 100)
+
+    return (
+        isinstance(told, dict)
+        and told.keys() <= QOS[0].keys()
+        and all(
+            plain(value)
+            or (isinstance(value, dict) and len(value) < 4 and all(map(plain, value.values())))
+            for value in told.values()
+        )
+    )
+
+
 def _qos_of(folder: Path) -> dict[Key, Sequence[Any]]:
     """Return what the old metadata says of each topic's quality of service."""
     found: dict[Key, Sequence[Any]] = {}
-    with contextlib.suppress(KeyError, TypeError):
+    with contextlib.suppress(KeyError, TypeError, AttributeError):
         for each in _metadata(folder).get("topics_with_message_count") or ():
             topic = each["topic_metadata"]
             if topic.get("offered_qos_profiles"):
@@ -292,7 +311,7 @@ def _files(folder: Path) -> list[Path]:
     try:
         for file in every:
             check_file(file, folder)
-    except ValueError as error:
+    except (OSError, ValueError) as error:
         raise BagError(f"{folder}: {error}") from error
     for end in STORAGES.values():
         files = sorted((file for file in every if end in file.suffixes), key=number)
@@ -361,7 +380,7 @@ def _records(raw: BinaryIO, size: int) -> Iterator[tuple[int, list[tuple[int, by
     raw.seek(0)
     if raw.read(len(MAGIC)) != MAGIC:
         return
-    at = len(MAGIC)
+    at, most = len(MAGIC), MOST_BYTES + MOST_TIMES * size
     while at + HEAD.size <= size:
         raw.seek(at)
         kind, length = HEAD.unpack(raw.read(HEAD.size))
@@ -371,7 +390,11 @@ def _records(raw: BinaryIO, size: int) -> Iterator[tuple[int, list[tuple[int, by
         inside: list[tuple[int, bytes]] | None
         try:
             data = bounded(raw, length) if kind in (CHUNK, MESSAGE, SCHEMA, CHANNEL) else b""
-            inside = list(records_in(chunk(data))) if kind == CHUNK else [(kind, data)]
+            if kind == CHUNK:
+                most -= len(grown := chunk(data, most))
+                inside = list(records_in(grown))
+            else:
+                inside = [(kind, data)]
             inside = [(each, _sent(told) if each == MESSAGE else told) for each, told in inside]
         except Exception:  # zstd, lz4 and struct raise nearly anything
             inside = None
@@ -386,7 +409,8 @@ def _records(raw: BinaryIO, size: int) -> Iterator[tuple[int, list[tuple[int, by
 def _sent(record: bytes) -> bytes:
     """Return the record of a message with the message as it was sent."""
     _, _, data = message_in(record)
-    return record[: len(record) - len(data)] + plain(data)
+    sent = plain(data)
+    return record if sent is data else record[: len(record) - len(data)] + sent
 
 
 def _copy_sqlite3(file: Path, copy: _Copy) -> None:
@@ -413,5 +437,7 @@ def _copy_sqlite3(file: Path, copy: _Copy) -> None:
                         copy.writer.flush()
             copy.chunks += len(numbers)
             copy.writer.flush()
-    except (sqlite3.Error, ValueError) as error:
+    except BagError:
+        raise
+    except Exception as error:  # zstd raises its own
         raise BagError(f"{file} is no whole database: {error}") from error

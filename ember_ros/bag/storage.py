@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import yaml
 
-from ember_ros.bag.guard import MOST_TOLD, check_file, load_yaml
+from ember_ros.bag.guard import MOST_TEXT, check_file, load_yaml
 from ember_ros.errors import PIP, BagError
 from ember_ros.given import read_text
 
@@ -425,8 +425,10 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     """
     file = folder / METADATA
     try:
+        if file.exists() and not file.is_file():
+            raise BagError(f"cannot read {file}: it is no regular file")
         check_file(file, folder)
-        content = load_yaml(read_text(file, MOST_TOLD))[INFORMATION]
+        content = load_yaml(read_text(file, MOST_TEXT))[INFORMATION]
         if not isinstance(content, dict):
             raise TypeError(f"{INFORMATION} is a {type(content).__name__}")
     except OSError as error:
