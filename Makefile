@@ -14,13 +14,13 @@ PYTHON ?= $(shell for python in python3.11 python3.12 python3.13 python3.10 pyth
 unexport PYTHONPATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # Where ROS looks for packages, as it does not look at Python's prefix.
-demo test bench: export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
+demo test bench fuzz: export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
 # rclpy needs a folder it can write to, and no other machine has a part in this.
 export ROS_LOG_DIR ?= $(CURDIR)/out/log
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help venv demo test lint bench clean
+.PHONY: help venv demo test lint bench fuzz clean
 
 help: ## list the targets (the default)
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 8
@@ -54,6 +54,9 @@ lint: $(STAMP) ## ruff and mypy
 
 bench: $(STAMP) ## measure the speed
 	$(VENV)/bin/ember bench
+
+fuzz: $(STAMP) ## give every reader 6000 files that lie, and write what came of it to docs/results
+	$(VENV)/bin/python test/mutate.py --out docs/results
 
 clean: ## remove caches, builds and out/, but not .venv
 	rm -rf out build dist install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache

@@ -44,7 +44,7 @@ from ember_ros.bag.repair import repair
 from ember_ros.bag.storage import INFORMATION, METADATA, BagOptions, BagWriter
 from ember_ros.errors import EmberError
 from ember_ros.loop import Loop
-from ember_ros.params import Params, as_dict, replace
+from ember_ros.params import Params, params_sha256, replace
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.plan import Plan
 from leg_node.journal import Journal
@@ -464,7 +464,7 @@ def closed_chunk(
 
 def bomb(rng: Rng) -> bytes:
     """Return what grows a thousandfold: as a chunk, with a size that is true or not."""
-    size = rng.choice([1 << 20, 1 << 26, (1 << 26) - 9, 1 << 28])
+    size = rng.choice([1 << 20, 1 << 25, (1 << 25) - 9, 1 << 28])
     inside = _HEAD.pack(rng.choice([1, 3, 4, 5, 6, 9]), size - 9) + bytes(size - 9)
     if rng.random() < 0.3:  # as many messages as fit
         inside = laid_out([(5, struct.pack("<HIQQ", 1, 0, 0, 0))]) * (size // 31)
@@ -667,8 +667,8 @@ def change_card(folder: Path, rng: Rng) -> None:
             data = raw.data
             if chosen == "card" and raw.topic == "/" + topics.CARD.name:
                 text = change_json(wire.read_text(data, "card"), rng)
-                if rng.random() < 0.3:  # with the SHA-256 that belongs to it
-                    text = json.dumps({**json.loads(card_of(text)), "params_sha256": None})
+                if rng.random() < 0.5:
+                    text = hashed(text)
                 coded = text.encode(errors="surrogatepass") + b"\0"
                 data = wire.CDR + struct.pack("<I", len(coded)) + coded
                 if rng.random() < 0.1:
@@ -681,12 +681,18 @@ def change_card(folder: Path, rng: Rng) -> None:
         writer.abandon()
 
 
-def card_of(text: str) -> str:
-    """Return a text that is a JSON object in any case."""
-    with contextlib.suppress(ValueError, RecursionError):
-        if isinstance(json.loads(text), dict):
-            return text
-    return json.dumps({"format": 1, "params": as_dict(PARAMS)})
+def hashed(text: str) -> str:
+    """Return a card that has the SHA-256 of its parameters, if it has any."""
+    try:
+        card = json.loads(text)
+        flat = {
+            f"{group}.{name}": value
+            for group, numbers in card["params"].items()
+            for name, value in numbers.items()
+        }
+        return json.dumps({**card, "params_sha256": params_sha256(replace(Params(), flat))})
+    except (EmberError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return text
 
 
 class Reader(NamedTuple):
