@@ -52,7 +52,7 @@ class TrainerWorld(BulletWorld):
         return (0.0, 0.0, self._hinge_height)
 
     def _heading(self) -> float:
-        """Return the bar's angle: the axes of friction lie along the bar and along the leg's way."""
+        """Return the bar's angle: friction's axes lie along the bar and along the leg's way."""
         return self._axle
 
     def _prepare(self) -> None:

@@ -1423,7 +1423,7 @@ def hold_rows_equal(rows: Sequence[Row], expected: Sequence[Row]) -> None:
             assert row[7:] == pytest.approx(other[7:], abs=1e-9)
             assert (row.height_min_m, row.falls) == (other.height_min_m, other.falls)
         else:
-            assert row[7:] == (None,) * 7
+            assert row[7:] == (None,) * 8
 
 
 @pytest.mark.parametrize("world", ["walker", "trainer"])

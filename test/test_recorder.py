@@ -141,7 +141,7 @@ def test_the_legs_lines() -> None:
             assert row.contact_share == sum(s and x.force_mean > 0.0 for s, _, x in felt) / 24
             assert row.duty_factor == sum(x.force_mean > 0.0 for *_, x in felt) / TICKS
             assert row.slip_m == pytest.approx(sum(sense.slip for *_, sense in felt))
-            assert row[7:] == (None,) * 7
+            assert row[7:] == (None,) * 8
 
 
 def test_contact_share_is_of_stance_only() -> None:

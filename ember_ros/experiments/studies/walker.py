@@ -252,9 +252,9 @@ def text(found: Found) -> list[str]:
         "",
         "Cost of transport, over the whole walk: positive work of the legs' motors by weight and "
         "way; the work is read once a tick, at its end, and misses part of what speeds a joint up. "
-        "Turn: mean size of the change of heading in a step; drift: size of the mean change, in the "
-        "first steps and in all; heading change: from the start to the end, to the left positive, "
-        "whole turns counted.",
+        "Turn: mean size of the change of heading in a step; drift: size of the mean change, in "
+        f"the first {WINDOW} steps and in all; heading change: from the start to the end, to the "
+        "left positive, whole turns counted.",
         "",
         "Beside them, in the same body:",
         "",
