@@ -524,6 +524,7 @@ def _told(found: dict[str, Any]) -> list[tuple[str, Any]]:
         ("  damaged", f"tick {d['tick']}, {d['leg']}: senses are not those that were recorded")
         for d in found["damaged"]
     ]
+    lines += [(name.replace("_", " "), each) for name, each in found.get("provenance", {}).items()]
     card = found.get("card")
     if card is None:
         lines.append(("run", "not told: made by another recorder, cannot be replayed"))

@@ -33,7 +33,7 @@ from ember_ros.report.recorder import (
     Recorder,
     load_record,
 )
-from ember_ros.versions import versions
+from ember_ros.versions import provenance, versions
 from leg_node.journal import ENDINGS
 from leg_node.table_file import load_table, save_table
 
@@ -72,6 +72,7 @@ def run(
     Raises:
         EmberError: a parameter, the table or the graph is not as it should be.
     """
+    where = provenance()
     if plan.table:
         load_table(plan.table, plan.params)  # say what is wrong with it before anything starts
     if bag is not None:
@@ -96,17 +97,22 @@ def run(
         "policy": plan.policy,
         "learning": plan.learning,
         "seed": plan.seed,
+        "planned_cycles": plan.cycles,
         "start_table": str(plan.table) if plan.table else None,
         **record.measured,
         "complete": len(record.traces) == ticks,
         "table_sha256": load_table(out / TABLE, plan.params)[0].sha256(),
         "params_sha256": params_sha256(plan.params),
         "versions": versions(),
+        "provenance": where,
     }
-    # A graph that is stopped leaves open which legs had the last tick: then nobody can say which
-    # table a replay must end with.
-    if bag is not None and (summary["complete"] or way == "loop"):
-        seal(bag.folder, table_sha256=summary["table_sha256"])
+    if bag is not None:
+        facts = {"planned_cycles": str(plan.cycles)}
+        # A graph that is stopped leaves open which legs had the last tick: then nobody can say
+        # which table a replay must end with.
+        if summary["complete"] or way == "loop":
+            facts["table_sha256"] = summary["table_sha256"]
+        seal(bag.folder, **facts)
     (out / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return record, summary
 

@@ -29,7 +29,7 @@ Run = Callable[..., str]
 SUMMARY_KEYS = {
     "command", "seed", "cycles", "falls", "first_fall", "distance_per_cycle_m", "roll_sd_rad",
     "pitch_sd_rad", "table_sha256", "commands_sha256", "senses_sha256", "wall_s", "ticks_per_s",
-    "versions",
+    "versions", "provenance", "planned_cycles",
 }  # fmt: skip
 
 
@@ -96,7 +96,7 @@ def test_every_way_leaves_the_same_files(run: Run, table: Path, way: str) -> Non
         lines = list(csv.reader(file))
     assert tuple(lines[0]) == Row._fields
     assert len(lines) == 1 + 3 * 5
-    assert load_record(Path("o")).traces.shape == (3 * 32, 4)
+    assert load_record(Path("o")).traces.shape == (3 * 32, 5)
     assert Path("o/run.png").read_bytes().startswith(b"\x89PNG")
     assert not list(Path("o").glob("*.journal")) + list(Path("o").glob("*.snapshot.npz"))
 

@@ -103,7 +103,7 @@ def test_a_cycle_that_was_begun_has_its_line() -> None:
     start, end = heard[2 * TICKS].body, heard[2 * TICKS + 5].body
     way = (end.x - start.x) * math.cos(0.3) + (end.y - start.y) * math.sin(0.3)
     assert last.distance_m == way
-    assert len(recorder.traces) == 4 * (2 * TICKS + 5)
+    assert len(recorder.traces) == 5 * (2 * TICKS + 5)
 
 
 def test_the_legs_lines() -> None:
@@ -346,7 +346,7 @@ def test_a_finished_record_is_read_back(tmp_path: Path) -> None:
     assert back.rows == recorder.rows
     assert back.body_rows() == recorder.body_rows()
     assert back.traces.tobytes() == recorder.traces.tobytes()
-    assert back.traces.shape == (2 * TICKS, 4)
+    assert back.traces.shape == (2 * TICKS, 5)
     assert back.measured == recorder.summary()
     assert {path.name for path in tmp_path.iterdir()} == {CYCLES, MEASURED, TRACES}
 
@@ -365,10 +365,23 @@ def test_whole_cycles_are_in_the_file_at_once(tmp_path: Path) -> None:
 
 
 def test_traces_are_the_body_at_every_tick() -> None:
-    """x, y, roll and pitch at the start of each tick."""
+    """x, y, roll, pitch and yaw at the start of each tick."""
     heard = run(TICKS)
-    wanted = [(t.body.x, t.body.y, t.body.roll, t.body.pitch) for t in heard[:-1]]
+    wanted = [(t.body.x, t.body.y, t.body.roll, t.body.pitch, t.body.yaw) for t in heard[:-1]]
     assert record(heard).traces.tolist() == [x for pose in wanted for x in pose]
+
+
+def test_a_heading_counts_whole_turns() -> None:
+    """Yaw that jumps from half a turn to the left to half a turn to the right goes on."""
+    heard = [
+        tick._replace(body=tick.body._replace(yaw=math.remainder(0.25 * n, math.tau)))
+        for n, tick in enumerate(run(2 * TICKS))
+    ]
+    recorder = record(heard)
+    wanted = [0.25 * n for n in range(2 * TICKS)]
+    assert recorder.traces.tolist()[4::5] == pytest.approx(wanted)
+    assert [row.yaw_rad for row in recorder.body_rows()] == pytest.approx([8.0, 16.0])
+    assert recorder.summary()["heading_change_rad"] == pytest.approx(16.0)
 
 
 def test_finishing_twice_is_finishing_once(tmp_path: Path) -> None:
@@ -391,7 +404,7 @@ def test_a_run_of_no_tick(tmp_path: Path) -> None:
     assert summary["distance_per_cycle_m"] is None
     back = load_record(tmp_path)
     assert back.rows == []
-    assert back.traces.shape == (0, 4)
+    assert back.traces.shape == (0, 5)
 
 
 def test_looking_on_does_not_disturb() -> None:

@@ -822,9 +822,13 @@ def test_loop_graph_and_processes_write_the_same_bytes(ros: Ros, tmp_path: Path)
     assert mcap_of(bags["graph"]) == files
     assert mcap_of(bags["processes"]) == files
     for way, bag in bags.items():
-        known = read_metadata(bag)["custom_data"]
-        assert known == {"table_sha256": summaries[way]["table_sha256"]}
-        assert read_metadata(bag) == read_metadata(bags["loop"])
+        metadata = read_metadata(bag)
+        known = metadata.pop("custom_data")
+        assert known["table_sha256"] == summaries[way]["table_sha256"]
+        assert known["planned_cycles"] == str(WALK.cycles)
+        where = summaries[way]["provenance"]
+        assert {**where, "date": known["date"]}.items() <= known.items()
+        assert metadata == {k: v for k, v in read_metadata(bags["loop"]).items() if k in metadata}
     for on in ("loop", "graph"):
         done = again(bags["processes"], on)
         assert done.equal
@@ -840,7 +844,8 @@ def test_a_graph_that_is_stopped_leaves_a_whole_bag(ros: Ros, tmp_path: Path) ->
     _, summary = run(endless, "graph", tmp_path, lambda cycles, falls: cycles < 2, "test", bag)
     assert not summary["complete"]
     metadata = read_metadata(bag.folder)
-    assert "table_sha256" not in (metadata["custom_data"] or {})
+    assert "table_sha256" not in metadata["custom_data"]
+    assert metadata["custom_data"]["planned_cycles"] == str(10**6)
     for on in ("loop", "graph"):
         done = again(bag.folder, on)
         assert done.ticks >= 2 * TICKS

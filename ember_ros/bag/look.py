@@ -106,6 +106,9 @@ def info(bag: Bag) -> tuple[dict[str, Any], list[Row]]:
     if bag.path.is_dir():
         metadata = read_metadata(bag.path)
         found["storage"] = metadata.get("storage_identifier")
+        known = metadata.get("custom_data") or {}
+        if isinstance(known, dict):
+            found["provenance"] = {name: str(known[name]) for name in PROVENANCE if name in known}
         found["files"] = {file.name: file.stat().st_size for file in bag.files}
     if bag.card is not None:
         found["card"] = {
@@ -118,6 +121,8 @@ def info(bag: Bag) -> tuple[dict[str, Any], list[Row]]:
     return found, rows
 
 
+PROVENANCE = ("date", "planned_cycles", "cpu", "system", "simd", "blas", "commit")
+"""What ``custom_data`` tells of where and when a bag was recorded."""
 TICK_COLUMNS = (
     "tick",
     "time_s",

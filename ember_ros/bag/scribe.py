@@ -23,6 +23,7 @@ from typing import Any, BinaryIO, NoReturn, Protocol
 from ember_ros.bag.storage import BagOptions, BagWriter, make_folder
 from ember_ros.children import command_of
 from ember_ros.errors import BagError, need
+from ember_ros.versions import provenance
 
 _RECORD = struct.Struct("<BHqI")
 """What it is, the channel, the time in ns, and how many bytes follow."""
@@ -187,7 +188,12 @@ class Scribe:
 
 
 def _write(records: BinaryIO, writer: BagWriter) -> None:
-    """Write records until there are no more."""
+    """Write records until there are no more.
+
+    Where and when it was goes into ``metadata.yaml``, so that the files of the same run are the
+    same.
+    """
+    where = provenance()
     channels: dict[int, int] = {}
     while len(head := records.read(_RECORD.size)) == _RECORD.size:
         what, channel, ns, length = _RECORD.unpack(head)
@@ -201,8 +207,8 @@ def _write(records: BinaryIO, writer: BagWriter) -> None:
         elif what == _CHANNEL:
             channels[channel] = writer.channel(*json.loads(data))
         else:
-            writer.close(json.loads(data))
-    writer.close()  # does nothing after a close
+            writer.close({**where, **json.loads(data)})
+    writer.close(where)  # does nothing after a close
 
 
 def main() -> int:
