@@ -42,7 +42,7 @@ $(STAMP): pyproject.toml package.xml $(wildcard ember_ros/launch/* ember_ros/con
 	@touch $@
 
 demo: $(STAMP) ## train a leg, let four of them walk, write what came of it to out/demo
-	$(VENV)/bin/ember demo --out out/demo
+	$(VENV)/bin/ember demo --out out/demo --force
 
 test: $(STAMP) ## run the tests
 	$(VENV)/bin/python -m pytest

@@ -26,7 +26,7 @@ from ember_ros.params import SPECS, Params
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.plan import Plan
 from ember_ros.run import PICTURE, SUMMARY, TABLE, WAYS, GoOn, run
-from ember_ros.spinning import Stop, stop_signals
+from ember_ros.spinning import Stop, prepare_environment, stop_signals
 
 RELEARN = "relearn"
 """The experiment that is made of bags, not of trials."""
@@ -55,14 +55,28 @@ def main() -> None:
     """
 
 
+FORCE = click.option(
+    "--force", is_flag=True, help="Replace an earlier run in --out, once the new one has begun."
+)
+
+
+def _refuse_to_replace(*folders: Path) -> None:
+    """Raise a ParameterError if one of the folders holds a run."""
+    for out in folders:
+        kept = [name for name in (SUMMARY, TABLE) if (out / name).exists()]
+        if kept:
+            raise ParameterError(
+                f"{out} holds an earlier run ({', '.join(kept)}); give another --out, or --force "
+                "to replace it"
+            )
+
+
 def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
     """Add the options that `train` and `walk` share."""
 
     def add(command: Any) -> Any:
         for option in (
-            click.option(
-                "--force", is_flag=True, help="Replace an earlier run in --out instead of refusing."
-            ),
+            FORCE,
             click.option(
                 "--split-s",
                 type=click.FloatRange(0.0),
@@ -186,12 +200,8 @@ def _run(
     )
     if bag is None and (split_mb or split_s):
         raise ParameterError("--split-mb and --split-s are of a bag: give --bag too")
-    kept = [name for name in (SUMMARY, TABLE) if (out / name).exists()]
-    if kept and not force:
-        raise ParameterError(
-            f"{out} holds an earlier run ({', '.join(kept)}); give another --out, or --force to "
-            "replace it"
-        )
+    if not force:
+        _refuse_to_replace(out)
     with stop_signals() as stop:
         into = BagOptions(bag, split_mb, split_s) if bag else None
         record, summary = _show(plan, way, out, stop, into, namespace)
@@ -300,8 +310,9 @@ def _grid(summaries: dict[str, dict[str, Any]]) -> Grid:
     type=click.Path(path_type=Path, file_okay=False),
     default="out/demo",
     show_default=True,
-    help="Folder for both runs and demo.png; an earlier demo there is replaced.",
+    help="Folder for both runs and demo.png.",
 )
+@FORCE
 def demo(
     cycles: int,
     walk_cycles: int,
@@ -309,19 +320,23 @@ def demo(
     namespace: str,
     params_files: tuple[Path, ...],
     out: Path,
+    force: bool,
 ) -> None:
     """Train a leg, walk on four on the graph, draw it all.
 
     The leg learns alone with the direct loop; then four nodes with its table carry the body on a
     live graph, and go on learning.
     """
+    if not force:
+        _refuse_to_replace(out / "train", out / "walk")
+    prepare_environment()  # say it now, and not when the leg is trained
     params = load_params(*params_files)
     training = Plan("trainer", cycles, seed=seed, params=params)
     walking = Plan("walker", walk_cycles, seed=seed, params=params, table=out / "train" / TABLE)
-    for stale in (out / "demo.png", out / "walk" / SUMMARY, out / "walk" / TABLE):
-        stale.unlink(missing_ok=True)  # of an earlier demo with another table
     with stop_signals() as stop:
         trained, first = _show(training, "loop", out / "train", stop)
+        for stale in (out / "demo.png", out / "walk" / SUMMARY, out / "walk" / TABLE):
+            stale.unlink(missing_ok=True)  # of an earlier demo with another table
         summaries, records = {"one leg, trainer": first}, {"trained": trained}
         if not stop.asked:
             walked, second = _show(walking, "graph", out / "walk", stop, namespace=namespace)

@@ -11,9 +11,13 @@ processes one process a node, as seven ``ros2 run`` would
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
+import os
+import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +37,16 @@ from ember_ros.report.recorder import (
     Recorder,
     load_record,
 )
+from ember_ros.spinning import prepare_environment
 from ember_ros.versions import provenance, versions
 from leg_node.journal import ENDINGS
 from leg_node.table_file import load_table, save_table
 
 WAYS = ("loop", "graph", "processes")
+CHECKPOINT_S = 5.0
+"""Wall time between two savings of what the loop has learnt: what ``kill -9`` can cost."""
+EARLIER = ".earlier"
+"""Where an earlier run in the same folder lies until the new one has begun."""
 TABLE, SUMMARY, PICTURE = "table.npz", "summary.json", "run.png"
 
 GoOn = Callable[[int, int], bool]
@@ -55,7 +64,8 @@ def run(
 ) -> tuple[Record, dict[str, Any]]:
     """Run a plan to its end, or until ``go_on`` says no, and write what came of it.
 
-    Writes ``table.npz``, ``cycles.csv``, ``traces.npy`` and ``summary.json`` into ``out``.
+    Writes ``table.npz``, ``cycles.csv``, ``traces.npy`` and ``summary.json`` into ``out``. An
+    earlier run there is replaced once this one has begun, and is as it was if it cannot begin.
 
     Args:
         plan: what to run.
@@ -70,7 +80,8 @@ def run(
         The record and the summary.
 
     Raises:
-        EmberError: a parameter, the table or the graph is not as it should be.
+        EmberError: a parameter, the table or the graph is not as it should be, or another run
+            is writing into ``out``.
     """
     where = provenance()
     if plan.table:
@@ -82,12 +93,79 @@ def run(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ParameterError(f"cannot make the folder {out}: {error.strerror}") from error
+    with _alone_in(out):
+        return _run(plan, way, out, go_on, command, bag, namespace, where)
+
+
+@contextlib.contextmanager
+def _alone_in(out: Path) -> Iterator[None]:
+    """Hold a folder against other runs; the lock dies with its process.
+
+    Raises:
+        ParameterError: another run holds it.
+    """
+    folder = os.open(out, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ParameterError(
+                f"another run is writing into {out}; give this one another --out"
+            ) from None
+        except OSError:  # a file system without locks
+            pass
+        yield
+    finally:
+        os.close(folder)
+
+
+@contextlib.contextmanager
+def _replacing(out: Path, names: Sequence[str]) -> Iterator[None]:
+    """Set an earlier run's files aside, and bring them back if the new one does not begin.
+
+    Raises:
+        ParameterError: the folder cannot be written.
+    """
+    aside = out / EARLIER
+    try:
+        aside.mkdir(exist_ok=True)
+        for name in names:
+            if (out / name).exists():
+                (out / name).replace(aside / name)
+    except OSError as error:
+        raise ParameterError(f"cannot write into {out}: {error.strerror}") from error
+    try:
+        yield
+    except BaseException:
+        begun = (out / CYCLES).exists() and (out / CYCLES).read_bytes().count(b"\n") > 1
+        if not begun:
+            for name in names:
+                (out / name).unlink(missing_ok=True)
+            for file in aside.iterdir():
+                file.replace(out / file.name)
+        raise
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _run(
+    plan: Plan,
+    way: str,
+    out: Path,
+    go_on: GoOn,
+    command: str,
+    bag: BagOptions | None,
+    namespace: str,
+    where: dict[str, str],
+) -> tuple[Record, dict[str, Any]]:
     old = [SUMMARY, CYCLES, MEASURED, TRACES, PICTURE, *(TABLE + ending for ending in ENDINGS)]
     if plan.table is None:
         old.append(TABLE)  # or the table node would go on from it
-    for name in old:
-        (out / name).unlink(missing_ok=True)
-    {"loop": _loop, "graph": _graph, "processes": _processes}[way](plan, out, go_on, bag, namespace)
+    if way != "loop":
+        prepare_environment()
+    ways = {"loop": _loop, "graph": _graph, "processes": _processes}
+    with _replacing(out, old):
+        ways[way](plan, out, go_on, bag, namespace)
     record = load_record(out)
     ticks = plan.cycles * plan.params.gait.ticks
     summary = {
@@ -130,8 +208,13 @@ def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace:
         card = Card.of_plan(plan, loop.shared.table, versions())
         recording = Recording(writer, card, loop.shared.table, namespace=namespace)
         observers.append(recording)
+    saved = time.monotonic()
     try:
         for cycle in range(plan.cycles):
+            if plan.learning and time.monotonic() - saved >= CHECKPOINT_S:
+                # All that was pushed, merged or not; it changes nothing in the run.
+                save_table(out / TABLE, loop.shared.preview(), plan.params, plan.seed)
+                saved = time.monotonic()
             if not go_on(cycle, loop.world.body().falls):
                 break
             for _ in range(plan.params.gait.ticks):

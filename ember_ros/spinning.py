@@ -8,11 +8,13 @@ learnt, are left out.
 
 from __future__ import annotations
 
+import functools
 import inspect
 import os
 import re
 import signal
 import stat
+import subprocess
 import sys
 import tempfile
 import time
@@ -22,6 +24,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, Protocol, TypeVar
 
+MOST_DOMAIN = 232
+"""Of ROS_DOMAIN_ID: with a greater one, ports are beyond what UDP has."""
 TURN_S = 0.1  # the longest time until a signal is heard
 HAND_IN_S = 3.0
 """Least wall time that a leg that ends waits for the table to take what it learnt last."""
@@ -35,13 +39,60 @@ def prepare_environment() -> None:
 
     Discovery stays on this machine: two people in one lab do not drive each other's robots. Logs
     go to a folder of our own where there is no home that could hold them.
+
+    Raises:
+        ParameterError: ROS 2 cannot start in this environment. Its C code ends the process for some
+            of this without a word.
     """
+    from ember_ros.errors import ParameterError
+
+    domain = os.environ.get("ROS_DOMAIN_ID", "")
+    if domain and not (domain.isdecimal() and int(domain) <= MOST_DOMAIN):
+        raise ParameterError(f"ROS_DOMAIN_ID={domain}: 0 to {MOST_DOMAIN} would be right")
+    logs = os.environ.get("ROS_LOG_DIR", "")
+    if logs:
+        try:
+            os.makedirs(logs, exist_ok=True)
+            tempfile.TemporaryFile(dir=logs).close()
+        except OSError as error:
+            raise ParameterError(
+                f"ROS_LOG_DIR={logs}: no log can be written there: {error.strerror}"
+            ) from error
+    _check_middleware()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     home = Path(os.environ.get("HOME", ""))
     if "ROS_LOG_DIR" not in os.environ and not (
         os.environ.get("HOME") and home.is_dir() and os.access(home, os.W_OK)
     ):
         os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir()) / "ember_ros_log")
+
+
+@functools.cache
+def _check_middleware() -> None:
+    """Start ROS in a process of its own with the middleware that the user asks for.
+
+    Raises:
+        ParameterError: it is not here.
+    """
+    from ember_ros.errors import ParameterError
+
+    asked = os.environ.get("RMW_IMPLEMENTATION", "")
+    if asked in ("", "rmw_fastrtps_cpp"):
+        return
+    code = "import rclpy; rclpy.init(); rclpy.create_node('probe'); rclpy.try_shutdown()"
+    tried = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd="/",  # nothing of the working directory is imported
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=False,
+    )
+    if tried.returncode:
+        raise ParameterError(
+            f"RMW_IMPLEMENTATION={asked}: ROS 2 does not start with it; install it, or unset the "
+            "variable"
+        )
 
 
 class Spinnable(Protocol):
@@ -196,7 +247,6 @@ def main_of(
             file=sys.stderr,
         )
         return 2
-    prepare_environment()
     import rclpy
     from rclpy.experimental.events_executor import EventsExecutor
 
@@ -206,6 +256,7 @@ def main_of(
     with stop_signals() as stop:
         node: N | None = None
         try:
+            prepare_environment()
             _init(args)
             node = make()
             make_sure([node], lambda: not stop.asked)

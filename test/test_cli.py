@@ -223,9 +223,9 @@ def test_printed_parameters_are_a_file_that_says_the_same(run: Run) -> None:
 
 
 def test_demo_trains_walks_and_draws(run: Run) -> None:
-    """Both runs and a picture of both; a second demo replaces the first."""
-    for _ in range(2):
-        run("demo", "--cycles", 20, "--walk-cycles", 3)
+    """Both runs and a picture of both; a second demo replaces the first where it may."""
+    for force in ([], ["--force"]):
+        run("demo", "--cycles", 20, "--walk-cycles", 3, *force)
         walk = json.loads(Path("out/demo/walk", SUMMARY).read_text())
         train = json.loads(Path("out/demo/train", SUMMARY).read_text())
         assert walk["start_table"] == str(Path("out/demo/train", TABLE))
