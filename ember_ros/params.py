@@ -420,13 +420,14 @@ def as_dict(params: Params) -> dict[str, dict[str, Any]]:
     return out
 
 
-def _digest(content: Any) -> str:
+def digest(content: Any) -> str:
+    """Return the SHA-256 of plain values: of their JSON with sorted names."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def params_sha256(params: Params) -> str:
     """Return the SHA-256 of all parameters: equal exactly when every number is equal."""
-    return _digest(as_dict(params))
+    return digest(as_dict(params))
 
 
 def cells_sha256(params: Params) -> str:
@@ -438,4 +439,4 @@ def cells_sha256(params: Params) -> str:
     every = as_dict(params)
     leg = every["leg"]
     meaning = [every["state"], leg["load"], leg["knee_speeds"], every["gait"]["stance_share"]]
-    return _digest(meaning)
+    return digest(meaning)

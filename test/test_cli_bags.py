@@ -939,9 +939,7 @@ def test_a_bag_that_cannot_be_made_costs_nothing(run: Go, bag: str) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    "words", [("--storage", "mcap"), ("--split-s", -1), ("--split-mb", "much")]
-)
+@pytest.mark.parametrize("words", [("--split-s", -1), ("--split-mb", "much")])
 def test_a_bad_option_of_recording_is_said(run: Go, words: Sequence[Any]) -> None:
     """Exit code 2, and nothing is made."""
     text = run("walk", "--cycles", 1, "--on", "loop", "--bag", "bag", *words, code=2)

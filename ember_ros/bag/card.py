@@ -10,7 +10,16 @@ from typing import Any, NamedTuple, TypeVar
 
 from ember_ros.errors import BagError, ParameterError, shown
 from ember_ros.given import read_json
-from ember_ros.params import Params, as_dict, params_sha256, replace
+from ember_ros.params import (
+    SPECS,
+    Params,
+    Value,
+    as_dict,
+    check,
+    digest,
+    params_sha256,
+    replace,
+)
 from ember_ros.plan import Plan, legs_of, stage_of
 from leg_node.table import Table
 
@@ -19,6 +28,16 @@ MOST_CHARACTERS = 1 << 20
 """Of a card: a hundred times what one has."""
 FORMAT = 1
 """Of the card; a reader knows its own and all before."""
+NEUTRAL: Mapping[str, Value] = {
+    "reward.lead": 0,
+    "train.alpha_ceiling": 1.0,
+    "walk.alpha_ceiling": 1.0,
+}
+"""Of parameters that came later: the value that gives what was done before they were there.
+
+Read for the cards of older versions only. Of a parameter that is not here that is its default, so
+who adds one with another default adds it here too.
+"""
 
 
 class LegCard(NamedTuple):
@@ -44,6 +63,12 @@ class Card:
     first_tick: int
     """The first tick in the bag: another than 0 has no beginning to be replayed from."""
     versions: Mapping[str, str]
+    filled: Mapping[str, Value] = dataclasses.field(default_factory=dict)
+    """Parameters that the run's version did not have yet, and the values that stand for that."""
+    gone: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """What the run had and this version has not: parameters that are gone, or values of them."""
+    stored_sha256: str | None = None
+    """Of the parameters as they were stored; None of a card that was never stored."""
 
     @classmethod
     def of_plan(cls, plan: Plan, table: Table, versions: Mapping[str, str]) -> Card:
@@ -70,6 +95,11 @@ class Card:
             )
         if self.start_table_sha256 is None:
             raise BagError(f"{cannot}the table at its start was not asked for in time")
+        if self.gone:
+            raise BagError(
+                f"{cannot}this version does not know what {', '.join(self._gone())} did; `ember "
+                "bag info`, `csv`, `play` and `relearn` work with it"
+            )
         missing = [leg for leg in legs_of(self.world) if leg not in self.legs]
         if missing:
             raise BagError(f"{cannot}nothing is known of {', '.join(missing)}: not legs of ours")
@@ -94,6 +124,9 @@ class Card:
             learning=each.learning,
             table=table,
         )
+
+    def _gone(self) -> list[str]:
+        return [f"{name} = {value!r}" for name, value in self.gone.items()]
 
     def without_table(self) -> Card:
         """Return the card of a run of which nobody knows what table it started from."""
@@ -131,29 +164,49 @@ def read_card(text: str, where: str) -> Card:
             "ember_ros reads it"
         )
     try:
-        flat = {
-            f"{group}.{name}": value
-            for group, numbers in content["params"].items()
-            for name, value in numbers.items()
-        }
+        stored = digest(content["params"])
+        params, filled, gone = _params(content["params"])
         card = Card(
             world=_one_of(content["world"], ("walker", "trainer")),
             legs={leg: _leg(told) for leg, told in content["legs"].items()},
-            params=replace(Params(), flat),
+            params=params,
             start_table_sha256=_text(content["start_table_sha256"]),
             first_tick=_of(int, content["first_tick"]),
             versions={name: _of(str, each) for name, each in content["versions"].items()},
+            filled=filled,
+            gone=gone,
+            stored_sha256=stored,
         )
     except (
         KeyError, TypeError, ValueError, OverflowError, AttributeError, ParameterError
     ) as error:  # fmt: skip
         raise BagError(f"{where} is no whole card of a run: {error!r}") from error
-    if content.get("params_sha256") != params_sha256(card.params):
-        raise BagError(
-            f"{where} is damaged: its parameters do not have the SHA-256 it names, or are not all "
-            "those of this version"
-        )
+    if content.get("params_sha256") != stored:
+        raise BagError(f"{where} is damaged: its parameters do not have the SHA-256 it names")
     return card
+
+
+def _params(stored: Mapping[str, Any]) -> tuple[Params, dict[str, Value], dict[str, Any]]:
+    """Return the parameters of a card, what had to be filled in, and what is gone.
+
+    Raises:
+        ParameterError: the gait or the leg cannot be held, without which no message is understood.
+    """
+    known: dict[str, Value] = {}
+    gone: dict[str, Any] = {}
+    for group, numbers in stored.items():
+        for field, value in numbers.items():
+            name = f"{group}.{field}"
+            try:
+                known[name] = check(name, value)
+            except ParameterError:
+                if name in SPECS and group in ("gait", "leg"):
+                    raise
+                gone[name] = value
+    filled = {
+        name: NEUTRAL.get(name, spec.default) for name, spec in SPECS.items() if name not in known
+    }
+    return replace(Params(), {**known, **filled}), filled, gone
 
 
 def _leg(told: Mapping[str, Any]) -> LegCard:

@@ -25,6 +25,8 @@ from ember_ros.experiments.words import Found
 ALL = "all"
 DOCUMENT = "REPRODUCTION.md"
 RESULTS = "results"
+OLDER = "> **Older than this version.**"
+"""How a document begins whose results were made by code that decided otherwise."""
 STUDIES: dict[str, Study] = {
     module.STUDY.name: module.STUDY
     for module in (
