@@ -24,6 +24,7 @@ from leg_node.module import LegModule
 from leg_node.shared import Push
 from leg_node.table_file import load_table, save_table
 
+AGAIN_S = 0.5  # wall time until a leg that ends says a push again
 WATCH_S = 0.1  # wall time between looks at whether the table answers
 WAIT_S = 2.0  # wall time after which a leg says that it cannot begin without the table
 
@@ -305,10 +306,13 @@ class LegNode(Seated, Node):  # type: ignore[misc]
         self._waiting = self._held = None  # a tick that is not acted on yet teaches nothing more
         copy = self.module.copy
         copy.close_epoch(self._inbox.last, early=True)
-        deadline = time.monotonic() + max(HAND_IN_S, self._patience)
-        while copy.push_due() is not None and time.monotonic() < deadline:
+        now = again = time.monotonic()
+        deadline = now + max(HAND_IN_S, self._patience)
+        while copy.push_due() is not None and (now := time.monotonic()) < deadline:
             if not self._push.service_is_ready():
                 break
+            if now >= again:  # said to a table that died meanwhile: twice changes nothing
+                self._pushing, again = None, now + AGAIN_S
             self._send_push()
             spin()
         if copy.push_due() is not None:
