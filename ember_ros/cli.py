@@ -25,6 +25,7 @@ from ember_ros.experiments.words import Found
 from ember_ros.params import SPECS, Params
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.plan import Plan
+from ember_ros.resume import beginning, resumed
 from ember_ros.run import PICTURE, SUMMARY, TABLE, WAYS, GoOn, run
 from ember_ros.spinning import Stop, prepare_environment, stop_signals
 
@@ -122,6 +123,14 @@ def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
                 type=click.Path(path_type=Path),
                 help="Start from this table.npz instead of from nothing.",
             ),
+            click.option(
+                "--resume",
+                type=click.Path(path_type=Path, file_okay=False),
+                metavar="RUN",
+                help="Go on from the run in this folder: with its table and parameters, "
+                "exploration and cycle count where they were. The world begins anew, so it is not "
+                "the run that would have come without the stop.",
+            ),
             PARAMS,
             click.option(
                 "--out",
@@ -180,6 +189,7 @@ def _run(
     out: Path,
     params_files: tuple[Path, ...],
     table: Path | None,
+    resume: Path | None,
     learning: bool | None,
     policy: str,
     way: str,
@@ -189,19 +199,29 @@ def _run(
     split_mb: float,
     split_s: float,
 ) -> None:
+    start_cycle, params = 0, load_params(*params_files)
+    if resume is not None:
+        if table is not None:
+            raise ParameterError("--resume brings its own table: leave --table out")
+        table = resume / TABLE
+        start_cycle, was = resumed(resume, world)
+        params = params if params_files else was
     plan = Plan(
         world,
         cycles,
         seed=seed,
-        params=load_params(*params_files),
+        params=params,
         policy=policy,
         learning=policy == "learned" if learning is None else learning,
         table=table,
+        start_cycle=start_cycle,
     )
     if bag is None and (split_mb or split_s):
         raise ParameterError("--split-mb and --split-s are of a bag: give --bag too")
     if not force:
         _refuse_to_replace(out)
+    for line in beginning(plan):
+        console.print(line)
     with stop_signals() as stop:
         into = BagOptions(bag, split_mb, split_s) if bag else None
         record, summary = _show(plan, way, out, stop, into, namespace)

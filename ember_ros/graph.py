@@ -59,6 +59,7 @@ def node_options(
             "seed": plan.seed,
             "policy": plan.policy,
             "learning": plan.learning,
+            "start_cycle": plan.start_cycle,
             **table_waits,
         }
     nodes["sim_node"] = {

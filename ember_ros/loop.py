@@ -62,6 +62,7 @@ class Loop:
                 seed=plan.seed,
                 policy=plan.policy,
                 learning=plan.learning,
+                start_cycle=plan.start_cycle,
             )
             for leg in plan.legs
         ]

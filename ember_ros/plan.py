@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from sim_node.world import World
 
 WORLDS = ("trainer", "walker")
+MOST = 2**63 - 1
+"""The greatest integer that a ROS parameter holds."""
 
 
 @dataclass(frozen=True)
@@ -30,13 +32,19 @@ class Plan:
     learning: bool = True
     table: Path | None = None
     """What was learnt before."""
+    start_cycle: int = 0
+    """Cycles that were learnt before: exploration goes on from there."""
 
     def __post_init__(self) -> None:
         check_world(self.world)
         if self.cycles < 0:
             raise ParameterError(f"cycles = {self.cycles} must be 0 or more")
-        if self.seed < 0:
-            raise ParameterError(f"seed = {self.seed} must be 0 or more")
+        if not 0 <= self.seed <= MOST:
+            raise ParameterError(
+                f"seed = {self.seed}: 0 to {MOST} would be right, as nodes hold it"
+            )
+        if not 0 <= self.start_cycle <= MOST:
+            raise ParameterError(f"start_cycle = {self.start_cycle}: 0 to {MOST} would be right")
 
     @property
     def legs(self) -> tuple[str, ...]:

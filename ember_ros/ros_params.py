@@ -42,6 +42,7 @@ OPTIONS = {
     "all_robots": Option(False, "record every robot on the graph, not only this namespace's"),
     "seed": Option(0, "seed of the run; each drawer has its own generator"),
     "leg": Option("", "the leg that this node is", ()),
+    "start_cycle": Option(0, "cycles learnt before; exploration goes on from there"),
     "stage": Option("walk", "which learning numbers hold", ("walk", "train")),
     "policy": Option("learned", "how the knee is chosen", ("learned", "scripted", "random")),
     "learning": Option(True, "whether the leg learns"),
@@ -53,6 +54,7 @@ OPTIONS = {
 LEAST = {
     "cycles": -1,
     "seed": 0,
+    "start_cycle": 0,
     "patience": 0,
     "table_patience": 0,
     "split_mb": 0,

@@ -175,6 +175,7 @@ def _run(
         "policy": plan.policy,
         "learning": plan.learning,
         "seed": plan.seed,
+        "start_cycle": plan.start_cycle,
         "planned_cycles": plan.cycles,
         "start_table": str(plan.table) if plan.table else None,
         **record.measured,
@@ -213,7 +214,8 @@ def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace:
         for cycle in range(plan.cycles):
             if plan.learning and time.monotonic() - saved >= CHECKPOINT_S:
                 # All that was pushed, merged or not; it changes nothing in the run.
-                save_table(out / TABLE, loop.shared.preview(), plan.params, plan.seed)
+                notes = {"cycle": plan.start_cycle + cycle}
+                save_table(out / TABLE, loop.shared.preview(), plan.params, plan.seed, notes)
                 saved = time.monotonic()
             if not go_on(cycle, loop.world.body().falls):
                 break
@@ -223,7 +225,8 @@ def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace:
             recording.finish()
             writer.close()
     finally:
-        save_table(out / TABLE, loop.finish(), plan.params, plan.seed)
+        notes = {"cycle": plan.start_cycle + loop.now // plan.params.gait.ticks}
+        save_table(out / TABLE, loop.finish(), plan.params, plan.seed, notes)
         recorder.finish(loop.world.observe(), loop.world.body())
         if writer is not None:
             writer.abandon()  # nothing, if it was closed

@@ -45,6 +45,7 @@ class LegModule:
         shared: bool = True,
         table: Table | None = None,
         run: str = "run",
+        start_cycle: int = 0,
         partition: Partition | None = None,
         rewarder: RewardFunction | None = None,
     ) -> None:
@@ -60,6 +61,7 @@ class LegModule:
             shared: whether the table is shared with other legs, or this leg's own.
             table: what was learnt before, owned by this leg from now on; empty for None.
             run: names this life of the leg for the shared table.
+            start_cycle: cycles that were learnt before: exploration goes on from there.
             partition: of the state; the paper's for None.
             rewarder: what a tick is worth; the paper's for None.
 
@@ -99,14 +101,16 @@ class LegModule:
         if numbers.smooth > 0.0 or numbers.prior > 0.0:
             shape, ticks = self._partition.shape, params.gait.ticks
             self._reading = SmoothReading(self.copy.table, shape, numbers, ticks)
-        self._policy = self._make_policy(policy, numbers, seed)
+        self._policy = self._make_policy(policy, numbers, seed, start_cycle)
         self._actions = len(params.leg.knee_speeds)
         self._tick_s = params.gait.tick_s
         self._pending: _Pending | None = None
         self.transition = self._nothing_to_credit(-1)
         """What the last tick that ended was worth, as of the last call of ``tick``."""
 
-    def _make_policy(self, name: str | Policy, numbers: Learning, seed: int) -> Policy:
+    def _make_policy(
+        self, name: str | Policy, numbers: Learning, seed: int, start_cycle: int
+    ) -> Policy:
         if not isinstance(name, str):
             return name
         rng = generator(seed, self.position)
@@ -115,7 +119,8 @@ class LegModule:
             return Scripted(self._params, self._gait)
         if name == "random":
             return Random(actions, rng)
-        return EpsilonGreedy(self._reading, numbers, actions, self._params.gait.ticks, rng)
+        ticks = self._params.gait.ticks
+        return EpsilonGreedy(self._reading, numbers, actions, ticks, rng, start_cycle)
 
     def tick(self, sense: LegSense, phase: Phase) -> LegCommand:
         """Take the senses and the phase of one tick, learn from the tick before, and act.

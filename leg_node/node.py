@@ -38,13 +38,14 @@ class LegNode(Seated, Node):  # type: ignore[misc]
     Calls: ``table/push``, ``table/pull``, unless ``shared`` is false or it has no use for a table
     (another policy than ``learned``, and ``learning`` false).
     Parameters: ``gait.*``, ``leg.*``, ``state.*``, ``reward.*``, ``train.*``, ``walk.*``; ``leg``,
-    ``stage``, ``seed``, ``policy``, ``learning``, ``shared``, ``table_patience``; ``table`` and
-    ``save`` for a leg that does not share.
+    ``stage``, ``seed``, ``policy``, ``learning``, ``shared``, ``start_cycle``,
+    ``table_patience``; ``table`` and ``save`` for a leg that does not share.
     """
 
     GROUPS = ("gait", "leg", "state", "reward", "train", "walk")
     OPTIONS = (
-        "leg", "stage", "seed", "policy", "learning", "shared", "table", "save", "table_patience",
+        "leg", "stage", "seed", "policy", "learning", "shared", "start_cycle", "table", "save",
+        "table_patience",
     )  # fmt: skip
 
     def __init__(self, **kwargs: Any) -> None:
@@ -79,6 +80,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
             shared=shared,
             table=load_table(Path(options["table"]), params)[0] if options["table"] else None,
             run=uuid.uuid4().hex,
+            start_cycle=options["start_cycle"],
         )
         self.refused = 0
         leg = self.module.leg

@@ -43,8 +43,19 @@ class EpsilonGreedy:
         actions: int,
         ticks: int,
         rng: np.random.Generator,
+        start_cycle: int = 0,
     ) -> None:
-        """Choose among ``actions`` by ``reading``, exploring as ``learning`` says."""
+        """Choose among ``actions`` by ``reading``, exploring as ``learning`` says.
+
+        Args:
+            reading: of the table.
+            learning: how the share of random actions falls.
+            actions: how many there are.
+            ticks: of a cycle.
+            rng: for random actions and ties.
+            start_cycle: cycles that went before the first tick.
+        """
+        self._start_cycle = start_cycle
         self._reading, self._learning, self._rng = reading, learning, rng
         self._actions, self._ticks = actions, ticks
         self._cycle, self._epsilon = -1, 0.0  # epsilon is worked out once a cycle
@@ -54,7 +65,10 @@ class EpsilonGreedy:
         rng = self._rng
         cycle = sense.tick // self._ticks
         if cycle != self._cycle:
-            self._cycle, self._epsilon = cycle, epsilon_at(self._learning, cycle)
+            self._cycle, self._epsilon = (
+                cycle,
+                epsilon_at(self._learning, self._start_cycle + cycle),
+            )
         if rng.random() < self._epsilon:
             return int(rng.integers(self._actions))
         row = self._reading.row(sense.tick, state)

@@ -10,7 +10,7 @@ import re
 import struct
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 import ember_ros
 from ember_ros.errors import TableError, shown
 from ember_ros.given import open_file, read_json
-from ember_ros.params import Params, as_dict, cells_sha256, params_sha256
+from ember_ros.params import MOST_CELLS, Params, as_dict, cells_sha256, params_sha256
 from leg_node.table import Table, empty_table
 
-MEMBERS = ("values", "visits", "about")
+MOST_SHOWN = 8
+"""Differences of parameters that are told one by one."""
 MOST_ABOUT = 1 << 20
 """Bytes of ``about``, and of all in a file that is not the numbers: a hundred times what it has."""
 _NPY = struct.Struct("<8sH")
@@ -93,7 +94,7 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
     table = empty_table(params)
     try:
         with open_file(file, 16 * len(table) + MOST_ABOUT) as raw, zipfile.ZipFile(raw) as content:
-            values, visits, text = (_Member(content, name) for name in MEMBERS)
+            values, visits = _Member(content, "values"), _Member(content, "visits")
             shape = (table.states, table.actions)
             if values.shape != shape or visits.shape != shape:
                 raise TableError(
@@ -105,9 +106,7 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
                     f"{file} holds {values.dtype} and {visits.dtype}; float64 values and int64 "
                     "visits would be right"
                 )
-            about = read_json(str(text.read(MOST_ABOUT)), MOST_ABOUT)
-            if not isinstance(about, dict):
-                raise ValueError("about is no JSON object")
+            about = _about(content)
             table.values[:] = values.read().reshape(-1)
             table.visits[:] = visits.read().reshape(-1)
     except FileNotFoundError:
@@ -130,6 +129,71 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
     if about.get("table_sha256") != table.sha256():
         raise TableError(f"{file} is damaged: its content does not have the SHA-256 it names")
     return table, about
+
+
+def load_about(file: Path) -> dict[str, Any]:
+    """Return what a table's file says of itself, whatever its size.
+
+    Raises:
+        TableError: the file is missing, or is no table.
+    """
+    try:
+        with open_file(file, 16 * MOST_CELLS + MOST_ABOUT) as raw, zipfile.ZipFile(raw) as content:
+            return _about(content)
+    except FileNotFoundError:
+        raise TableError(f"there is no table {file}; `ember train` makes one") from None
+    except Exception as error:
+        raise TableError(
+            f"{file} is not a whole ember_ros table: {error or type(error).__name__}"
+        ) from error
+
+
+def _about(content: zipfile.ZipFile) -> dict[str, Any]:
+    about = read_json(str(_Member(content, "about").read(MOST_ABOUT)), MOST_ABOUT)
+    if not isinstance(about, dict):
+        raise ValueError("about is no JSON object")
+    return about
+
+
+def flat_names(params: Any) -> dict[str, Any]:
+    """Return nested parameters by their full names."""
+    return {f"{group}.{n}": v for group, fields in params.items() for n, v in fields.items()}
+
+
+def _differences(was: Mapping[str, Any], now: Params) -> list[str]:
+    """Return which parameters a table was learnt with that are not in force now.
+
+    Args:
+        was: ``about`` of the table's file.
+        now: in force.
+    """
+    stored = was.get("params")
+    if not isinstance(stored, Mapping):
+        return []
+    then, here = flat_names(stored), flat_names(as_dict(now))
+    return [
+        f"{name} {shown(then.get(name, 'not there'))}, now {shown(here.get(name, 'not there'))}"
+        for name in dict.fromkeys([*here, *then])
+        if then.get(name) != here.get(name)
+    ]
+
+
+def told_differences(
+    table: Path, was: Mapping[str, Any], now: Params, groups: Sequence[str] = ()
+) -> str | None:
+    """Return in one line what a table was learnt with that is not in force now; None for nothing.
+
+    Args:
+        table: its file.
+        was: ``about`` of it.
+        now: in force.
+        groups: that are known now; all without.
+    """
+    found = [each for each in _differences(was, now) if not groups or each.split(".")[0] in groups]
+    if not found:
+        return None
+    more = f"; and {len(found) - MOST_SHOWN} more" if len(found) > MOST_SHOWN else ""
+    return f"{table} was learnt with other parameters: {'; '.join(found[:MOST_SHOWN])}{more}"
 
 
 class _Member:

@@ -23,7 +23,7 @@ from ember_ros.throttle import Throttle
 from leg_node.journal import MOST_PUSHES, Journal, from_json, to_json
 from leg_node.shared import SharedTable
 from leg_node.table import Table, empty_table
-from leg_node.table_file import load_table, save_table
+from leg_node.table_file import load_table, save_table, told_differences
 
 
 class TableNode(Seated, Node):  # type: ignore[misc]
@@ -68,9 +68,12 @@ class TableNode(Seated, Node):  # type: ignore[misc]
                 given = self._save  # never replace what was learnt by less
                 self._has_past = True
                 self.get_logger().warning(f"going on from {given}, which is there already")
-            self.shared = self._share(
-                load_table(given, params)[0] if given else empty_table(params)
-            )
+            table, about = load_table(given, params) if given else (empty_table(params), {})
+            if given:
+                other = told_differences(given, about, params, self.GROUPS)
+                if other is not None:
+                    self.get_logger().warning(other)
+            self.shared = self._share(table)
         if self._journal:
             self._snapshot()
         else:

@@ -48,6 +48,7 @@ class LegCard(NamedTuple):
     policy: str
     learning: bool
     shared: bool
+    start_cycle: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +74,7 @@ class Card:
     @classmethod
     def of_plan(cls, plan: Plan, table: Table, versions: Mapping[str, str]) -> Card:
         """Return the card of a plan that starts from ``table``."""
-        told = LegCard(plan.stage, plan.seed, plan.policy, plan.learning, True)
+        told = LegCard(plan.stage, plan.seed, plan.policy, plan.learning, True, plan.start_cycle)
         legs = dict.fromkeys(plan.legs, told)
         return cls(plan.world, legs, plan.params, table.sha256(), 0, dict(versions))
 
@@ -123,6 +124,7 @@ class Card:
             policy=each.policy,
             learning=each.learning,
             table=table,
+            start_cycle=each.start_cycle,
         )
 
     def _gone(self) -> list[str]:
@@ -216,6 +218,7 @@ def _leg(told: Mapping[str, Any]) -> LegCard:
         _of(str, told["policy"]),
         _of(bool, told["learning"]),
         _of(bool, told["shared"]),
+        _of(int, told.get("start_cycle", 0)),  # before it could be told, it was 0
     )
 
 

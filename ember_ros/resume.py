@@ -1,0 +1,70 @@
+"""What a run that starts from a table goes on from, and what is other now than it was then."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from ember_ros.errors import ParameterError, TableError
+from ember_ros.params import Params, replace
+from ember_ros.plan import Plan
+from ember_ros.run import SUMMARY, TABLE
+from leg_node.policy import epsilon_at
+from leg_node.table_file import flat_names, load_about, load_table, told_differences
+
+
+def resumed(run: Path, world: str) -> tuple[int, Params]:
+    """Return how many cycles a run had come to, and its parameters.
+
+    Args:
+        run: its folder.
+        world: in which it is to go on.
+
+    Raises:
+        ParameterError: it was in another world, or does not say how far it came.
+        TableError: its table cannot be read.
+    """
+    about = load_about(run / TABLE)
+    try:
+        told = json.loads((run / SUMMARY).read_text(encoding="utf-8"))
+        where, cycle = told["world"], told["start_cycle"] + told["cycles"]
+    except (OSError, ValueError, KeyError, TypeError):  # killed, or of an older version
+        where, cycle = world, about.get("cycle")
+    if where != world:
+        raise ParameterError(f"{run} is a run of the {where}; --table {run / TABLE} starts from it")
+    if not isinstance(cycle, int) or isinstance(cycle, bool):
+        raise ParameterError(
+            f"{run} does not say how many cycles it came to; --table {run / TABLE} starts from its "
+            "table at cycle 0"
+        )
+    try:
+        return cycle, replace(Params(), flat_names(about.get("params")))
+    except (ParameterError, AttributeError) as error:
+        raise TableError(
+            f"{run / TABLE} has other parameters than this version: {error}"
+        ) from error
+
+
+def beginning(plan: Plan) -> list[str]:
+    """Return what is to be said before a run that starts from a table.
+
+    Raises:
+        TableError: the table cannot be used.
+    """
+    if plan.table is None:
+        return []
+    lines = []
+    _, about = load_table(plan.table, plan.params)
+    other = told_differences(plan.table, about, plan.params)
+    if other is not None:
+        lines.append(other)
+    numbers = plan.params.walk if plan.stage == "walk" else plan.params.train
+    epsilon = epsilon_at(numbers, plan.start_cycle)
+    if plan.start_cycle:
+        lines.append(f"going on from cycle {plan.start_cycle}, exploring {epsilon:.0%} at first")
+    elif plan.policy == "learned" and epsilon > numbers.epsilon_end:
+        lines.append(
+            f"starting from {plan.table} at cycle 0: {epsilon:.0%} of the actions are random at "
+            "first, which may undo what it knows; --resume RUN goes on where a run was"
+        )
+    return lines
