@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import closing
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -13,6 +14,9 @@ from rclpy.parameter import Parameter
 
 from cpg_node.node import CpgNode
 from ember_ros import seat, topics, wire
+from ember_ros.bag.player_node import PlayerNode
+from ember_ros.bag.reading import Bag
+from ember_ros.errors import BagError
 from ember_ros.graph import Graph
 from ember_ros.params import Params, replace
 from ember_ros.plan import Plan
@@ -23,8 +27,6 @@ from leg_node.table_node import TableNode
 from sim_node.node import SimNode
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from test.conftest import Bits, Ros
 
 PLAN = Plan("walker", 6, seed=4, params=replace(Params(), {"walk.sync_every": 32}))
@@ -99,6 +101,19 @@ def test_of_two_runs_one_is_refused_and_the_other_ends_with_its_own_bits(
     with closing(Graph(PLAN, patience=PATIENCE_S, context=ros.context)) as graph:
         graph.run()
         assert by_graph(graph) == by_loop(PLAN)
+
+
+def test_a_bag_is_not_played_beside_a_robot_nor_a_robot_begun_beside_a_bag(ros: Ros) -> None:
+    """Who plays it has the seats of all whom it speaks for."""
+    with Bag(Path(__file__).parents[1] / "bags" / "walk") as bag:
+        player = ros.add(PlayerNode(bag, paused=True, context=ros.context))
+        with pytest.raises(TakenError, match=r"^/clock is taken by /player_node"):
+            make(ros, "/clock")
+        ros.remove(player)
+        sim = ros.add(make(ros, "/clock"))
+        with pytest.raises(BagError, match="robot is running here: /clock is taken by /sim_node"):
+            PlayerNode(bag, context=ros.context)
+        ros.remove(sim)
 
 
 def test_a_name_of_any_length_is_a_seat() -> None:

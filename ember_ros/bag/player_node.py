@@ -14,7 +14,7 @@ from ember_ros import topics
 from ember_ros.bag.reading import Bag, Raw
 from ember_ros.bag.recording import absolute
 from ember_ros.errors import BagError
-from ember_ros.seat import Seat
+from ember_ros.seat import Seat, TakenError
 
 PAUSE = topics.Service("play/pause", "std_srvs/srv/SetBool")
 MOST = 256
@@ -56,8 +56,8 @@ class PlayerNode(Node):  # type: ignore[misc]
             **kwargs: go to rclpy's ``Node``.
 
         Raises:
-            BagError: a live leg is none of the bag's, or the bag ends before ``start_s``.
-            TakenError: a robot on this machine says one of the topics.
+            BagError: a live leg is none of the bag's, the bag ends before ``start_s``, or a robot
+                on this machine says one of the topics.
         """
         super().__init__("player_node", namespace=bag.namespace or None, **kwargs)
         self.done = False
@@ -98,8 +98,7 @@ class PlayerNode(Node):  # type: ignore[misc]
             try:
                 named = topics.Topic(topic, connection.msgtype)
                 self._sayers[topic] = named.publish(self)
-                domain = self.context.get_domain_id()
-                self._seats.append(Seat(domain, topic, self.get_fully_qualified_name()))
+                self._seats.append(self._seat(topic))
             except (ImportError, AttributeError, ValueError):
                 self.get_logger().warning(
                     f"{topic} is left out: there is no {connection.msgtype} in this environment"
@@ -127,6 +126,16 @@ class PlayerNode(Node):  # type: ignore[misc]
         PAUSE.serve(self, self._pause)
         tick_s = bag.params.gait.tick_s
         self.create_timer(min(max(tick_s / rate / 2, SHORTEST_S), LONGEST_S), self._turn)
+
+    def _seat(self, topic: str) -> Seat:
+        """Take the seat of who says a topic, so that no robot begins beside the recorded one."""
+        try:
+            return Seat(self.context.get_domain_id(), topic, self.get_fully_qualified_name())
+        except TakenError as why:
+            taken = str(why).partition(";")[0]
+            raise BagError(
+                f"a robot is running here: {taken}; stop it, or play in another ROS_DOMAIN_ID"
+            ) from None
 
     def others(self) -> list[str]:
         """Return the topics of the bag that somebody else publishes: a robot that is running."""
