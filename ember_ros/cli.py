@@ -16,14 +16,14 @@ from rich.table import Table as Grid
 
 import ember_ros
 from ember_ros.bag.storage import BagOptions
-from ember_ros.cli_bags import COMMANDS, INTERRUPTED, NAMESPACE, PARAMS, console
+from ember_ros.cli_bags import COMMANDS, INTERRUPTED, NAMESPACE, PARAMS, SET, console
 from ember_ros.errors import EmberError, ParameterError, need
 from ember_ros.experiments import lab, relearn
 from ember_ros.experiments.reproduction import ALL, DOCUMENT, RESULTS, STUDIES, document, read
 from ember_ros.experiments.study import Size, Study, belongs, collect, write
 from ember_ros.experiments.words import Found
 from ember_ros.params import SPECS, Params
-from ember_ros.params_file import dump_params, load_params
+from ember_ros.params_file import changed, dump_params, load_params
 from ember_ros.plan import Plan
 from ember_ros.resume import beginning, resumed
 from ember_ros.run import PICTURE, SUMMARY, TABLE, WAYS, GoOn, run
@@ -132,6 +132,7 @@ def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
                 "the run that would have come without the stop.",
             ),
             PARAMS,
+            SET,
             click.option(
                 "--out",
                 type=click.Path(path_type=Path, file_okay=False),
@@ -188,6 +189,7 @@ def _run(
     seed: int,
     out: Path,
     params_files: tuple[Path, ...],
+    settings: tuple[str, ...],
     table: Path | None,
     resume: Path | None,
     learning: bool | None,
@@ -199,13 +201,13 @@ def _run(
     split_mb: float,
     split_s: float,
 ) -> None:
-    start_cycle, params = 0, load_params(*params_files)
+    start_cycle, params = 0, load_params(*params_files, settings=settings)
     if resume is not None:
         if table is not None:
             raise ParameterError("--resume brings its own table: leave --table out")
         table = resume / TABLE
         start_cycle, was = resumed(resume, world)
-        params = params if params_files else was
+        params = params if params_files else changed(was, settings)
     plan = Plan(
         world,
         cycles,
@@ -325,6 +327,7 @@ def _grid(summaries: dict[str, dict[str, Any]]) -> Grid:
 @click.option("--seed", type=int, default=0, show_default=True, help="Of both runs.")
 @NAMESPACE
 @PARAMS
+@SET
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -339,6 +342,7 @@ def demo(
     seed: int,
     namespace: str,
     params_files: tuple[Path, ...],
+    settings: tuple[str, ...],
     out: Path,
     force: bool,
 ) -> None:
@@ -350,7 +354,7 @@ def demo(
     if not force:
         _refuse_to_replace(out / "train", out / "walk")
     prepare_environment()  # say it now, and not when the leg is trained
-    params = load_params(*params_files)
+    params = load_params(*params_files, settings=settings)
     training = Plan("trainer", cycles, seed=seed, params=params)
     walking = Plan("walker", walk_cycles, seed=seed, params=params, table=out / "train" / TABLE)
     with stop_signals() as stop:
@@ -377,6 +381,7 @@ def demo(
 @click.option("--train-cycles", type=click.IntRange(1), default=6000, show_default=True)
 @click.option("--epochs", type=click.IntRange(10), default=10_000, show_default=True)
 @PARAMS
+@SET
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -384,7 +389,9 @@ def demo(
     show_default=True,
     help="Folder for bench.json and bench.md.",
 )
-def bench(params_files: tuple[Path, ...], out: Path, **sizes: int) -> None:
+def bench(
+    params_files: tuple[Path, ...], settings: tuple[str, ...], out: Path, **sizes: int
+) -> None:
     """Measure ticks a second and what a tick costs.
 
     One walk is run by physics alone, the loop, the graph in one process and in seven, in turn and
@@ -392,7 +399,7 @@ def bench(params_files: tuple[Path, ...], out: Path, **sizes: int) -> None:
     """
     from ember_ros import bench as measure
 
-    params = load_params(*params_files)
+    params = load_params(*params_files, settings=settings)
     with console.status("") as status:
         found = measure.bench(params, say=status.update, **sizes)
     out.mkdir(parents=True, exist_ok=True)

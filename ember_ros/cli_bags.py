@@ -25,7 +25,7 @@ from ember_ros.bag.repair import repair
 from ember_ros.bag.replay import WAYS, replay
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.params import SPECS, replace
-from ember_ros.params_file import config_names, dump_params, load_params
+from ember_ros.params_file import changed, config_names, dump_params, load_params
 from ember_ros.run import TABLE, no_ros
 from ember_ros.spinning import prepare_environment, stop_signals
 from ember_ros.terminal import Terminal
@@ -49,6 +49,24 @@ PARAMS = click.option(
     f"comes with the package: {', '.join(config_names())}. May be given more than once; what a "
     "later one says wins.",
 )
+
+
+def _settings(
+    context: click.Context, parameter: click.Parameter, given: tuple[str, ...]
+) -> tuple[str, ...]:
+    load_params(settings=given)  # what is wrong with one is said before anything is opened
+    return given
+
+
+SET = click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="GROUP.FIELD=VALUE",
+    callback=_settings,
+    help="One parameter, on top of --params; may be given more than once.",
+)
+"""Beside every ``PARAMS``."""
 
 
 class _Namespace(click.ParamType):  # type: ignore[type-arg, unused-ignore]
@@ -345,6 +363,7 @@ class _Numbers(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 )
 @click.option("--table", type=click.Path(path_type=Path), help="Start from it, not from nothing.")
 @PARAMS
+@SET
 @_NAMESPACE
 @click.option(
     "--out",
@@ -364,6 +383,7 @@ def relearn_command(
     stage: str | None,
     table: Path | None,
     params_files: tuple[Path, ...],
+    settings: tuple[str, ...],
     namespace: str | None,
     out: Path,
     force: bool,
@@ -389,7 +409,7 @@ def relearn_command(
     given = load_params(*params_files) if params_files else None
     with Bag(bags[0], namespace=namespace, params=given) as first:
         stage = stage or first.stage
-        base = given or first.params
+        base = changed(given or first.params, settings)
     changes = {name.replace("__", "."): value for name, value in numbers.items()}
     changes |= {f"{stage}.alpha_floor": alpha, f"{stage}.gamma": gamma}
     rate = base.walk.rate if stage == "walk" else base.train.rate

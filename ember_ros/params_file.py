@@ -1,21 +1,41 @@
-"""Parameter files: ROS 2's own format, so that one file serves ``ember`` and ``ros2 run``."""
+"""Parameter files: ROS 2's own format, so that one file serves ``ember`` and ``ros2 run``.
+
+A file is read as rcl reads it, not as YAML libraries do: ``5e-03`` is a number, ``1_000`` is none.
+What rcl would understand in a way of its own, or for some nodes alone, is refused with the reason.
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from ember_ros.errors import ParameterError
+from ember_ros.errors import ParameterError, shown
+from ember_ros.given import read_text
 from ember_ros.params import Params, as_dict, replace
 
 SECTION = "/**"
 NUMBERS = "ros__parameters"
-
-
+MOST_TEXT = 1 << 20
+"""Bytes of a file: hundreds of times what all parameters need."""
+MOST_DEEP = 8
+"""Levels of nesting: rcl knows three of ours."""
+ROS_OWN = ("use_sim_time", "qos_overrides", "start_type_description_service")
+"""What every ROS node has: no number of the robot, and left to the nodes."""
 CONFIG = Path(__file__).parent / "config"
 """The parameter files that come with the package, for ``ember`` and for ``ros2 run`` alike."""
+
+_TRUE = ("y", "Y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON")
+_FALSE = ("n", "N", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF")
+_BOOLS = {**dict.fromkeys(_TRUE, True), **dict.fromkeys(_FALSE, False)}
+_OCTAL, _HEX, _DECIMAL = (
+    re.compile(form) for form in (r"[-+]?0[0-7]+", r"[-+]?0[xX][0-9a-fA-F]+", r"[-+]?[0-9]+")
+)
+_FLOAT = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_SPECIAL = re.compile(r"[-+]?\.?(nan|inf|infinity)", re.IGNORECASE)
 
 
 def config_names() -> list[str]:
@@ -23,11 +43,12 @@ def config_names() -> list[str]:
     return sorted(file.stem for file in CONFIG.glob("*.yaml"))
 
 
-def load_params(*files: Path | str) -> Params:
+def load_params(*files: Path | str, settings: Sequence[str] = ()) -> Params:
     """Read parameter files, each its section ``/**``; what a later one says wins.
 
     Args:
         files: paths, or names of files that come with the package (``plain``, ``narrow``).
+        settings: ``group.field=value`` each, on top of the files.
 
     Raises:
         ParameterError: one is missing, no YAML, of another form, or names or values are wrong.
@@ -37,40 +58,161 @@ def load_params(*files: Path | str) -> Params:
         own = CONFIG / f"{file}.yaml"
         named = not file.is_file() and str(file) in config_names()
         params = _load(own if named else file, params)
-    return params
+    return changed(params, settings)
+
+
+def changed(params: Params, settings: Sequence[str]) -> Params:
+    """Return parameters with some set, each as ``group.field=value``.
+
+    Raises:
+        ParameterError: one is not of that form, or its name or value is wrong.
+    """
+    changes: dict[str, Any] = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals:
+            raise ParameterError(f"--set {shown(setting)}: group.field=value would be right")
+        try:
+            changes[name.strip()] = _read(value)
+        except ValueError as error:
+            raise ParameterError(f"--set {shown(setting)}: {error}") from error
+    return replace(params, changes)
 
 
 def _load(file: Path, base: Params) -> Params:
     """Return ``base`` with what a file says."""
     right = f"`{SECTION}: {{{NUMBERS}: {{group: {{name: value}}}}}}` would be right"
     try:
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        content = _read(read_text(file, MOST_TEXT))
     except OSError as error:
         known = ", ".join(config_names())
         raise ParameterError(
             f"cannot read the parameter file {file}: {error.strerror}; a path, or one of {known} "
             "would be right"
         ) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterError(f"{file} is no YAML: {error}") from error
-    if not isinstance(content, dict) or set(content) != {SECTION}:
-        raise ParameterError(f"{file}: {right}; sections for single nodes are read by nodes only")
+    except ValueError as error:
+        raise ParameterError(f"{file}: {error}") from error
+    if not isinstance(content, dict) or SECTION not in content:
+        raise ParameterError(f"{file}: {right}")
+    if others := [name for name in content if name != SECTION]:
+        raise ParameterError(
+            f"{file}: the section {shown(others[0])} is for some nodes alone, and would make "
+            f"another robot of them; {right}"
+        )
     section = content[SECTION]
     if not isinstance(section, dict) or set(section) != {NUMBERS}:
         raise ParameterError(f"{file}: {right}")
-    numbers = section[NUMBERS] or {}
+    numbers = section[NUMBERS]
     if not isinstance(numbers, dict):
         raise ParameterError(f"{file}: {right}")
-    changes: dict[str, Any] = {}
-    for group, fields in numbers.items():
-        if isinstance(fields, dict):
-            changes.update({f"{group}.{name}": value for name, value in fields.items()})
-        else:  # also written as one dotted name, as `ros2 param dump` does not but people do
-            changes[str(group)] = fields
     try:
-        return replace(base, changes)
+        return replace(base, dict(_names(numbers)))
     except ParameterError as error:
         raise ParameterError(f"{file}: {error}") from error
+
+
+def _names(numbers: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield full names and values; groups may be nested, or written with dots.
+
+    Raises:
+        ParameterError: a name is said twice, once nested and once with dots.
+    """
+    seen: set[str] = set()
+    for key, value in numbers.items():
+        name = f"{before}{key}"
+        if not before and key.split(".")[0] in ROS_OWN:
+            continue
+        found = _names(value, f"{name}.") if isinstance(value, dict) else iter([(name, value)])
+        for each, number in found:
+            if each in seen:
+                raise ParameterError(f"{each} is said twice")
+            seen.add(each)
+            yield each, number
+
+
+def _read(text: str) -> Any:
+    """Return what a YAML text says, as rcl reads it.
+
+    Without recursion and without aliases: no text of a bounded size takes more than its size.
+
+    Raises:
+        ValueError: it is no YAML, or what rcl would read otherwise or not at all.
+    """
+    stack: list[Any] = [[]]
+    keys: list[str | None] = [None]
+    documents = 0
+
+    def put(value: Any, line: int) -> None:
+        if isinstance(stack[-1], list):
+            stack[-1].append(value)
+            return
+        if keys[-1] is None:
+            if not isinstance(value, str):
+                raise ValueError(f"line {line}: {shown(value)} is no name")
+            if value in stack[-1]:
+                raise ValueError(f"line {line}: {shown(value)} is said twice")
+            keys[-1] = value
+            return
+        stack[-1][keys[-1]] = value
+        keys[-1] = None
+
+    try:
+        for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            line = event.start_mark.line + 1 if event.start_mark else 0
+            if isinstance(event, yaml.DocumentStartEvent):
+                documents += 1
+                if documents > 1:
+                    raise ValueError(f"line {line}: a second document; one would be right")
+            elif isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
+                raise ValueError(f"line {line}: rcl reads no anchors and aliases")
+            elif (tag := getattr(event, "tag", None)) is not None:
+                raise ValueError(f"line {line}: a tag such as {shown(tag)}; none would be right")
+            elif isinstance(event, yaml.ScalarEvent):
+                plain = event.style is None
+                is_key = isinstance(stack[-1], dict) and keys[-1] is None
+                put(_scalar(event.value) if plain and not is_key else event.value, line)
+            elif isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent)):
+                if len(stack) > MOST_DEEP:
+                    raise ValueError(f"line {line}: nested more than {MOST_DEEP} deep")
+                stack.append({} if isinstance(event, yaml.MappingStartEvent) else [])
+                keys.append(None)
+            elif isinstance(event, (yaml.MappingEndEvent, yaml.SequenceEndEvent)):
+                done = stack.pop()
+                keys.pop()
+                if isinstance(done, list) and len({type(each) for each in done}) > 1:
+                    raise ValueError(
+                        f"line {line}: {shown(done)} has numbers of two kinds, which rcl refuses; "
+                        "1.0 instead of 1 would be right"
+                    )
+                put(done, line)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f"line {mark.line + 1}: " if mark else ""
+        why = getattr(error, "problem", None) or getattr(error, "reason", None) or "damaged"
+        raise ValueError(f"{where}no YAML: {str(why)[:100]}") from error
+    if not stack[0]:
+        raise ValueError("it is empty")
+    return stack[0][0]
+
+
+def _scalar(text: str) -> Any:
+    """Return a plain scalar in the kind that rcl finds in it: bool, int, float, or text."""
+    if text in _BOOLS:
+        return _BOOLS[text]
+    if len(text) > 400:
+        return text
+    for form, base in ((_OCTAL, 8), (_HEX, 16), (_DECIMAL, 10)):
+        if form.fullmatch(text):
+            # `0` then a digit that is not octal ends an integer there; the rest is read as a float.
+            if base == 10 and len(text.lstrip("-+")) > 1 and text.lstrip("-+").startswith("0"):
+                return float(text)
+            number = int(text, base)
+            return number if -(2**63) <= number < 2**63 else float(number)
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    if _SPECIAL.fullmatch(text):
+        return float(text.replace(".", ""))
+    return text
 
 
 def dump_params(params: Params) -> str:
