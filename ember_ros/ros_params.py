@@ -8,73 +8,47 @@ nobody knows is refused.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import Any, NamedTuple
+from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType
 from rclpy.node import Node
 
 from ember_ros.errors import ParameterError
+from ember_ros.options import OPTION_NAMES, OPTIONS, check_option, is_ros_own
 from ember_ros.params import SPECS, Params, Spec, check, replace
 
 
-class Option(NamedTuple):
-    """A parameter of a node that is not a number of the robot."""
-
-    default: Any
-    doc: str
-    choices: tuple[str, ...] = ()
-
-
-OPTIONS = {
-    "world": Option("walker", "where the legs are mounted", ("walker", "trainer")),
-    "mode": Option("lockstep", "wait for all commands, or never", ("lockstep", "realtime")),
-    "gui": Option(False, "show Bullet's window"),
-    "cycles": Option(-1, "cycles to run; -1: until stopped"),
-    "patience": Option(1.0, "wall seconds to wait for a leg, s"),
-    "table_patience": Option(0.4, "wall seconds a leg waits for the table, s"),
-    "out": Option("", "folder for the record of the run; '' for none"),
-    "bag": Option("", "folder of a new bag to record the run into; '' for none"),
-    "split_mb": Option(0.0, "megabytes after which the bag begins a new file; 0: never"),
-    "split_s": Option(0.0, "simulated seconds after which it does; 0: never"),
-    "recorder": Option(False, "wait for a recorder node before the first tick"),
-    "all_robots": Option(False, "record every robot on the graph, not only this namespace's"),
-    "seed": Option(0, "seed of the run; each drawer has its own generator"),
-    "leg": Option("", "the leg that this node is", ()),
-    "start_cycle": Option(0, "cycles learnt before; exploration goes on from there"),
-    "stage": Option("walk", "which learning numbers hold", ("walk", "train")),
-    "policy": Option("learned", "how the knee is chosen", ("learned", "scripted", "random")),
-    "learning": Option(True, "whether the leg learns"),
-    "shared": Option(True, "whether the leg shares its table through the table services"),
-    "table": Option("", "table to start from, an .npz; '' for an empty one"),
-    "save": Option("", "where the table is written on exit and by table/save; '' for nowhere"),
-}
-"""Every option of every node, once."""
-LEAST = {
-    "cycles": -1,
-    "seed": 0,
-    "start_cycle": 0,
-    "patience": 0,
-    "table_patience": 0,
-    "split_mb": 0,
-    "split_s": 0,
-}
-
-_ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
+def range_of(spec: Spec) -> str:
+    """Return a range in words, where one end or both are open."""
+    ends = []
+    if math.isfinite(spec.low):
+        ends.append(f"{spec.low:g} or more")
+    if math.isfinite(spec.high):
+        ends.append(f"{spec.high:g} or less")
+    return f"{' and '.join(ends) or 'any number'}, and finite"
 
 
 def _descriptor(spec: Spec) -> ParameterDescriptor:
     described = ParameterDescriptor(description=f"{spec.doc} [{spec.unit}]", read_only=True)
-    low, high = max(spec.low, -1.7e308), min(spec.high, 1.7e308)
+    closed = math.isfinite(spec.low) and math.isfinite(spec.high)
     if isinstance(spec.default, tuple):
         described.type = ParameterType.PARAMETER_DOUBLE_ARRAY
+        closed = False  # a range is of one number
     elif isinstance(spec.default, int):
         described.type = ParameterType.PARAMETER_INTEGER
-        described.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
     else:
         described.type = ParameterType.PARAMETER_DOUBLE
-        described.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    if not closed:  # a range has two ends: said in words, and held by `check`
+        described.additional_constraints = range_of(spec)
+    elif isinstance(spec.default, int):
+        described.integer_range = [IntegerRange(from_value=int(spec.low), to_value=int(spec.high))]
+    else:
+        described.floating_point_range = [
+            FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high))
+        ]
     return described
 
 
@@ -85,6 +59,27 @@ def _set(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> 
     node.declare_parameter(
         name, list(value) if isinstance(value, tuple) else value, descriptor, ignore_override=True
     )
+
+
+def _rename(node: Node) -> None:
+    """Declare what was given by a name that is a group's too by the other one.
+
+    `ros2 param dump` nests names at their dots, and fails where one is both a value and a group.
+    """
+    for name, option in OPTIONS.items():
+        declared = option.declared
+        if not declared or not node.has_parameter(name):
+            continue
+        value = node.get_parameter(name).value
+        node.undeclare_parameter(name)
+        if not node.has_parameter(declared):
+            node.declare_parameter(declared, value)
+        elif node.get_parameter(declared).value != value:
+            other = node.get_parameter(declared).value
+            raise ParameterError(
+                f"{name} = {value!r} and {declared} = {other!r} contradict each other; one of "
+                "them would be right"
+            )
 
 
 def declare_params(node: Node, groups: Sequence[str]) -> Params:
@@ -98,9 +93,10 @@ def declare_params(node: Node, groups: Sequence[str]) -> Params:
     """
     known = {field.name for field in fields(Params)}
     assert known.issuperset(groups), groups
+    _rename(node)
     given: dict[str, Any] = {}
     for name, parameter in node.get_parameters_by_prefix("").items():
-        if name in OPTIONS or name.startswith(_ROS_OWN):
+        if name in OPTION_NAMES or is_ros_own(name):
             continue
         given[name] = check(name, parameter.value)
     params = replace(Params(), given)
@@ -121,18 +117,10 @@ def declare_options(node: Node, names: Sequence[str], **defaults: Any) -> dict[s
     for name in names:
         option = OPTIONS[name]
         default = defaults.get(name, option.default)
-        value = node.get_parameter(name).value if node.has_parameter(name) else default
-        if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        if type(value) is not type(default):
-            raise ParameterError(
-                f"{name} = {value!r} must be a {type(default).__name__}: {option.doc}"
-            )
-        if option.choices and value not in option.choices:
-            raise ParameterError(f"{name} = {value!r} must be one of {', '.join(option.choices)}")
-        least = LEAST.get(name)
-        if least is not None and not value >= least:  # NaN is not
-            raise ParameterError(f"{name} = {value!r} must be {least} or more: {option.doc}")
-        _set(node, name, value, ParameterDescriptor(description=option.doc, read_only=True))
-        values[name] = value
+        declared = option.declared or name
+        given = node.has_parameter(declared)
+        value = node.get_parameter(declared).value if given else default
+        values[name] = check_option(name, value, default)
+        descriptor = ParameterDescriptor(description=option.doc, read_only=True)
+        _set(node, declared, values[name], descriptor)
     return values

@@ -194,7 +194,7 @@ def _executable(make: type[Spinnable]) -> str:
 
 def usage(make: type[Spinnable]) -> str:
     """Return what ``--help`` says of a node: what it is and which parameters it has."""
-    from ember_ros.ros_params import OPTIONS
+    from ember_ros.options import OPTIONS
 
     name = _executable(make)
     lines = [
@@ -206,7 +206,7 @@ def usage(make: type[Spinnable]) -> str:
     if make.OPTIONS:
         lines += ["", "with these defaults:"]
     for option in make.OPTIONS:
-        default, doc, choices = OPTIONS[option]
+        default, doc, choices = OPTIONS[option][:3]
         told = f" ({', '.join(choices)})" if choices else ""
         lines.append(f"  {option + ':=' + _yaml(default):24} {doc}{told}")
     if make.GROUPS:

@@ -22,9 +22,9 @@ from ember_ros import calls, topics, wire
 from ember_ros.bag.recorder_node import RecorderNode
 from ember_ros.errors import EmberError, ParameterError, TableError
 from ember_ros.loop import Loop
+from ember_ros.options import OPTIONS
 from ember_ros.params import SPECS, Params, cells_sha256
 from ember_ros.plan import Plan
-from ember_ros.ros_params import OPTIONS
 from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Pair, Phase, Transition
 from ember_ros.spinning import main_of
 from leg_node.module import LegModule
@@ -230,28 +230,58 @@ def test_a_node_has_the_parameters_its_docstring_lists(ros: Ros, kind: Any) -> N
         else:
             expected[name] = OPTIONS[name].default
     expected |= NEEDED.get(kind, {})
+    expected = {getattr(OPTIONS.get(n), "declared", "") or n: v for n, v in expected.items()}
+    told = {option.declared or name: option.doc for name, option in OPTIONS.items()}
     for name, value in declared(node).items():
         plain = expected.pop(name)
         assert value == (list(plain) if isinstance(plain, tuple) else plain), name
         described = node.describe_parameter(name)
         assert described.read_only
-        if name in OPTIONS:
-            assert described.description == OPTIONS[name].doc
+        if name in told:
+            assert described.description == told[name]
             continue
         spec = SPECS[name]
         assert spec.doc in described.description
         assert f"[{spec.unit}]" in described.description
         if isinstance(spec.default, tuple):
             assert described.type == ParameterType.PARAMETER_DOUBLE_ARRAY
+        elif not (math.isfinite(spec.low) and math.isfinite(spec.high)):
+            assert not described.integer_range
+            assert not described.floating_point_range
+            assert "finite" in described.additional_constraints
         elif isinstance(spec.default, int):
             (whole,) = described.integer_range
             assert (whole.from_value, whole.to_value, whole.step) == (spec.low, spec.high, 0)
         else:
             (real,) = described.floating_point_range
-            assert real.from_value == max(spec.low, -1.7e308)
-            assert real.to_value == min(spec.high, 1.7e308)
-            assert real.step == 0.0
+            assert (real.from_value, real.to_value, real.step) == (spec.low, spec.high, 0.0)
     assert not expected, "listed, not declared"
+
+
+@pytest.mark.parametrize("kind", NODES)
+def test_parameters_can_be_dumped(ros: Ros, kind: Any) -> None:
+    """``ros2 param dump`` nests names at their dots: none is a value and a group as well."""
+    nested: dict[str, Any] = {}
+    for name, value in declared(make(ros, kind)).items():
+        *groups, last = name.split(".")
+        inner = nested
+        for group in groups:
+            inner = inner.setdefault(group, {})
+            assert isinstance(inner, dict), f"{name}: {group} is a value"
+        assert last not in inner, name
+        inner[last] = value
+
+
+def test_a_leg_is_named_by_either_word(ros: Ros) -> None:
+    """``leg`` and ``leg_name`` at the start, alike; two names that differ are refused."""
+    for names in ({"leg": "rear_left"}, {"leg_name": "rear_left"}):
+        node = LegNode(context=ros.context, parameter_overrides=given(names))
+        assert node.module.leg == "rear_left"
+        assert declared(node)["leg_name"] == "rear_left"
+        node.destroy_node()
+    both = given({"leg": "rear_left", "leg_name": "front_left"})
+    with pytest.raises(ParameterError, match="contradict"):
+        LegNode(context=ros.context, parameter_overrides=both)
 
 
 @pytest.mark.parametrize("kind", [*NODES, RecorderNode])
