@@ -587,7 +587,8 @@ def _order(sources: Iterator[_Source]) -> Iterator[Message]:
     heap: list[tuple[int, int, Message, Iterator[Message]]] = []
     sizes: dict[int, int] = {}
     while heap or waiting:
-        while waiting and (not heap or waiting[-1][1].first <= heap[0][0]):
+        # Of two of one time the first is read to its end before the second is opened.
+        while waiting and (not heap or (waiting[-1][1].first, waiting[-1][0]) < heap[0][:2]):
             n, source = waiting.pop()
             messages, sizes[n] = source.messages(), source.size
             if len(sizes) > 1 and sum(sizes.values()) > MOST_OPEN:
