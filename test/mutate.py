@@ -462,13 +462,16 @@ def closed_chunk(
     )  # fmt: skip
 
 
-def bomb(rng: Rng) -> bytes:
-    """Return what grows a thousandfold: as a chunk, with a size that is true or not."""
+def bombs(rng: Rng) -> list[Record]:
+    """Return chunks that grow a thousandfold, with sizes that are true or not."""
     size = rng.choice([1 << 20, 1 << 25, (1 << 25) - 9, 1 << 28])
     inside = _HEAD.pack(rng.choice([1, 3, 4, 5, 6, 9]), size - 9) + bytes(size - 9)
-    if rng.random() < 0.3:  # as many messages as fit
+    times = rng.choice([1, 1, 50])
+    if rng.random() < 0.3:  # as many messages as fit; to read them all takes its time, and may
         inside = laid_out([(5, struct.pack("<HIQQ", 1, 0, 0, 0))]) * (size // 31)
-    return closed_chunk(inside, rng, size=rng.choice([None, None, 100, 0, 2**63, 2**64 - 1]))
+        times = 1
+    told = rng.choice([None, None, 100, 0, 2**63, 2**64 - 1])
+    return [(6, closed_chunk(inside, rng, size=told))] * times
 
 
 def message_record(data: bytes, rng: Rng) -> bytes:
@@ -524,8 +527,7 @@ def change_mcap(file: Path, rng: Rng) -> None:
                 first, last = struct.unpack_from("<QQ", found[n][1])
                 found[n] = 6, closed_chunk(laid_out(inside), rng, first=first, last=last)
         elif how == 4:
-            chunk = bomb(rng)  # not so many that their messages alone, all read, take long
-            found[n:n] = [(6, chunk)] * rng.choice([1, 1, 50 if len(chunk) < 10_000 else 5])
+            found[n:n] = bombs(rng)
         elif how == 5:
             found.insert(at, found[rng.randrange(len(found))])
         elif how == 6 and len(found) > 2:
