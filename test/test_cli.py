@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from ember_ros.params import Params
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.report.recorder import Row, load_record
 from ember_ros.run import SUMMARY, TABLE
+from ember_ros.seat import run_seat
 from leg_node.table_file import load_table
 
 pytest.importorskip("pybullet", reason="every command here builds a world")
@@ -233,6 +235,47 @@ def test_demo_trains_walks_and_draws(run: Run) -> None:
         assert walk["learning"]
         assert walk["table_sha256"] != train["table_sha256"]
     assert Path("out/demo/demo.png").stat().st_size > 20_000
+
+
+@pytest.mark.parametrize("way", ["graph", "processes"])
+def test_a_run_lives_beside_another_in_a_namespace_of_its_own(
+    run: Run, free_domain: int, way: str
+) -> None:
+    """In the same one it is refused, says how to live beside it, and ends with 2."""
+    walk = ("walk", "--cycles", 2, "--on", way)
+    seat = run_seat(free_domain, "")
+    output = run(*walk, "--out", "a", code=2)
+    assert f"error: / as a whole is taken by /sim_node (process {os.getpid()})" in output
+    assert not Path("a", SUMMARY).exists()
+    run(*walk, "--out", "a", "--namespace", "/lab/robot_2")
+    seat.leave()
+    run(*walk, "--out", "b")
+    a, b = (json.loads(Path(each, SUMMARY).read_text())["senses_sha256"] for each in "ab")
+    assert a == b
+
+
+def test_a_namespace_is_of_the_demo_and_of_a_replay_too(run: Run, free_domain: int) -> None:
+    """Beside a robot at the root; a bag's only robot is replayed in whichever is asked for."""
+    seat = run_seat(free_domain, "")
+    robot = ("--namespace", "robot_2")
+    run("demo", "--cycles", 5, "--walk-cycles", 2, code=2)
+    run("demo", "--cycles", 5, "--walk-cycles", 2, *robot)
+    run("walk", "--cycles", 2, "--on", "loop", "--bag", "bag", "--out", "o")
+    run("replay", "bag", "--on", "graph", code=2)
+    assert "Equal, bit for bit" in run("replay", "bag", "--on", "graph", *robot)
+    seat.leave()
+    assert "'2' is no namespace" in run("walk", "--namespace", "2", code=2)
+    assert "no robot in robot_2" in run("replay", "bag", *robot, code=2)
+
+
+def test_a_bag_of_the_loop_has_the_namespace_too(run: Run) -> None:
+    """However a run was run, its bag has the same bytes."""
+    for way in ("loop", "graph"):
+        given = ("--bag", f"bag_{way}", "--namespace", "robot_2", "--out", way)
+        run("walk", "--cycles", 2, "--on", way, *given)
+    bags = [next(Path(f"bag_{way}").glob("*.mcap")).read_bytes() for way in ("loop", "graph")]
+    assert bags[0] == bags[1]
+    run("replay", "bag_loop", "--namespace", "robot_2")
 
 
 @pytest.mark.parametrize("way", ["loop", "graph", "processes"])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +19,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.srv import GetParameters
 
 from ember_ros import topics
+from ember_ros.children import command_of
 from ember_ros.errors import GraphError
-from ember_ros.graph import LEG_MODULE, MODULES, Processes, node_options, processes
+from ember_ros.graph import LEG_MODULE, MODULES, Graph, Processes, node_options, processes
 from ember_ros.params import Params, as_dict, replace
 from ember_ros.params_file import dump_params
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import load_record
+from ember_ros.seat import TAKEN, TakenError
 from ember_ros.signals import LEGS
 from leg_node.table_file import load_table
 
@@ -311,6 +315,55 @@ def test_a_sim_that_is_killed_and_started_again_begins_time_anew(fleet: Fleet) -
     heard = len(fleet.clock)
     fleet.until(lambda: len(fleet.clock) > heard + 2 * TICKS, "the new world walks")
     fleet.until_all_are_present()
+
+
+def test_a_second_process_of_a_name_does_not_join(fleet: Fleet, tmp_path: Path) -> None:
+    """Each kind of node, started by hand beside the robot: one line, 3, and the robot walks on."""
+    fleet.until_all_are_present()
+    given = {
+        "sim_node": [],
+        "cpg_node": [],
+        "table_node": ["-p", f"save:={tmp_path / 'table.npz'}"],
+        "leg_node": ["-p", "leg:=rear_left", "-r", "__node:=another_leg"],
+    }
+    seconds = {
+        name: subprocess.Popen(
+            [*command_of(MODULES.get(name, LEG_MODULE)), "--ros-args", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        for name, arguments in given.items()
+    }
+    try:
+        fleet.until(lambda: all(p.poll() is not None for p in seconds.values()), "all have ended")
+    finally:
+        for process in seconds.values():
+            process.kill()
+    for name, process in seconds.items():
+        said, _ = process.communicate()
+        first = "leg_rear_left" if name == "leg_node" else name
+        elder = fleet.processes[first].pid
+        assert process.returncode == TAKEN, said
+        assert said.startswith("error: ")
+        assert f" is taken by /{first} (process {elder}); " in said
+        assert said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+    fleet.until_all_are_present()
+
+
+def test_a_second_run_is_refused_before_it_starts_anything(ros: Ros, tmp_path: Path) -> None:
+    """It says who is there, and makes no folder; in another namespace it would be another robot."""
+    with processes(walk(), tmp_path / "first", patience=PATIENCE_S) as first:
+        with pytest.raises(TakenError, match=rf"/sim_node \(process {os.getpid()}\)"):
+            Processes(walk(), tmp_path / "second")
+        assert not (tmp_path / "second").exists()
+        with pytest.raises(TakenError, match="/sim_node"):
+            Graph(walk(), context=ros.context)
+        with closing(Graph(walk(), context=ros.context, namespace="robot_2")):
+            first.wait()
+    assert load_record(tmp_path / "first").measured["cycles"] == CYCLES
 
 
 def test_no_pair_is_lost_or_doubled_when_the_table_is_killed(ros: Ros, tmp_path: Path) -> None:
