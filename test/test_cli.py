@@ -259,7 +259,7 @@ def test_a_namespace_is_of_the_demo_and_of_a_replay_too(run: Run, free_domain: i
     seat = run_seat(free_domain, "")
     robot = ("--namespace", "robot_2")
     run("demo", "--cycles", 5, "--walk-cycles", 2, code=2)
-    run("demo", "--cycles", 5, "--walk-cycles", 2, *robot)
+    run("demo", "--cycles", 5, "--walk-cycles", 2, "--force", *robot)
     run("walk", "--cycles", 2, "--on", "loop", "--bag", "bag", "--out", "o")
     run("replay", "bag", "--on", "graph", code=2)
     assert "Equal, bit for bit" in run("replay", "bag", "--on", "graph", *robot)
