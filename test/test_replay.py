@@ -17,7 +17,7 @@ from ember_ros.bag.card import Card
 from ember_ros.bag.reading import Bag, Raw
 from ember_ros.bag.recording import Recording, absolute
 from ember_ros.bag.relearn import relearn
-from ember_ros.bag.replay import Difference, Replayed, replay
+from ember_ros.bag.replay import Difference, Replayed, replay, verdict
 from ember_ros.bag.storage import BagOptions, BagWriter, read_metadata
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.loop import Loop
@@ -925,3 +925,27 @@ def test_legs_of_another_stage_are_not_replayed_as_of_this_one() -> None:
         assert bag.stage == "train"
         with pytest.raises(BagError, match="stage 'train'"):
             replay(bag)
+
+
+@pytest.mark.parametrize("senses", [True, False])
+@pytest.mark.parametrize("commands", [True, False, None])
+@pytest.mark.parametrize("rewards", [True, False, None])
+@pytest.mark.parametrize("table", [True, False, None])
+def test_a_verdict_names_each_part_once(
+    senses: bool, commands: bool | None, rewards: bool | None, table: bool | None
+) -> None:
+    """In every combination: under equal, different or not recorded, and with one meaning."""
+    parts = {"senses": senses, "commands": commands, "rewards": rewards, "table": table}
+    said = verdict(parts)
+    assert said.startswith("Verdict: ")
+    heads = {True: "equal: ", False: "different: ", None: "not recorded, or not to its end: "}
+    found: dict[str, bool | None] = {}
+    for section in said.removeprefix("Verdict: ").partition(".")[0].split("; "):
+        for value, head in heads.items():
+            if section.startswith(head):
+                found |= dict.fromkeys(section.removeprefix(head).split(", "), value)
+    assert found == parts
+    assert ("bit for bit" in said) is (
+        False not in parts.values() and any((commands, rewards, table))
+    )
+    assert ("was changed" in said) is (not senses)

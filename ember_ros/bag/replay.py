@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -60,6 +60,8 @@ class RecordedWorld:
         self.legs = tuple(legs)
         self.compared = 0
         """Commands that were held against the record."""
+        self.paid = 0
+        """Transitions that were held against the record."""
         self.unanswered = dict.fromkeys(self.legs, 0)
         """Ticks without a recorded command, by leg."""
         self.difference: Difference | None = None
@@ -136,6 +138,7 @@ class RecordedWorld:
         if self.paid_otherwise is not None:
             return
         for leg, did, recorded in zip(self.legs, transitions, self._next.transitions, strict=True):
+            self.paid += recorded is not None
             if recorded is not None and did != recorded:
                 self.paid_otherwise = _paid_otherwise(leg, recorded, did)
                 return
@@ -185,6 +188,8 @@ class Replayed(NamedTuple):
     cycles: float
     compared: int
     """Commands that were held against the record."""
+    paid: int
+    """Transitions, what legs were paid, that were held against it up to the first that differs."""
     unanswered: dict[str, int]
     """Ticks in which a leg's command was not recorded, by leg, where there are any."""
     difference: Difference | None
@@ -211,6 +216,49 @@ class Replayed(NamedTuple):
             and self.missing is None
             and self.recorded_sha256 in (None, self.table.sha256())
         )
+
+
+SENSES = "CRC-32 of the senses"
+
+
+def compared(done: Replayed) -> dict[str, bool | None]:
+    """Return what came out as it was recorded, part by part; None where there is no record."""
+    changed = done.difference is not None and done.difference.field == SENSES
+    told = done.difference is None or changed
+    table = None if done.recorded_sha256 is None else done.recorded_sha256 == done.table.sha256()
+    return {
+        "senses": not changed,
+        "commands": told if done.compared else None,
+        "rewards": done.paid_otherwise is None if done.paid else None,
+        "table": table,
+    }
+
+
+def verdict(parts: Mapping[str, bool | None], *, stopped: bool = False) -> str:
+    """Return in one line what is equal, what is not, and what that means.
+
+    Args:
+        parts: ``senses``, ``commands``, ``rewards`` and ``table``, as ``compared`` returns them.
+        stopped: whether the replay was stopped before the end.
+    """
+    lists = {
+        "equal": [name for name, same in parts.items() if same],
+        "different": [name for name, same in parts.items() if same is False],
+        "not recorded, or not to its end": [name for name, same in parts.items() if same is None],
+    }
+    told = "; ".join(f"{how}: {', '.join(names)}" for how, names in lists.items() if names)
+    if not lists["different"]:
+        means = ". Equal so far" if stopped else ". Equal, bit for bit"
+        means = "" if lists["equal"] == ["senses"] else means
+    elif parts["senses"] is False:
+        means = ". The bag was changed after it was recorded"
+    elif parts["commands"] is False:
+        means = ". The legs act otherwise than they did: another version, or another policy"
+    elif parts["rewards"] is False:
+        means = ". The legs act alike and are paid otherwise: another reward"
+    else:
+        means = ". The legs act alike and learn otherwise: another version"
+    return f"Verdict: {told}{means}."
 
 
 def replay(
@@ -268,7 +316,7 @@ def replay(
             difference = Difference(
                 damage.tick,
                 damage.leg,
-                "CRC-32 of the senses",
+                SENSES,
                 f"{damage.recorded:08x}",
                 f"{damage.found:08x}",
             )
@@ -276,6 +324,7 @@ def replay(
         ticks=done,
         cycles=done / ticks_a_cycle,
         compared=world.compared,
+        paid=world.paid,
         unanswered={leg: n for leg, n in world.unanswered.items() if n},
         difference=difference,
         paid_otherwise=world.paid_otherwise,
