@@ -68,7 +68,7 @@ class Card:
     """Parameters that the run's version did not have yet, and the values that stand for that."""
     gone: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """What the run had and this version has not: parameters that are gone, or values of them."""
-    stored_sha256: str | None = None
+    stored_sha256: str | None = dataclasses.field(default=None, compare=False)
     """Of the parameters as they were stored; None of a card that was never stored."""
 
     @classmethod
