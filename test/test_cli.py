@@ -192,7 +192,7 @@ def test_a_bad_parameter_file_is_said_in_one_line(run: Run, content: str, says: 
     ("words", "says"),
     [
         (("--cycles", -1), "cycles = -1 must be 0 or more"),
-        (("--seed", -1), "seed = -1 must be 0 or more"),
+        (("--seed", -1), "seed = -1: 0 to 9223372036854775807 would be right"),
         (("--params", "none.yaml"), "none.yaml"),
         (("--out", "/proc/ember"), "/proc/ember"),
         (("--on", "moon"), "moon"),

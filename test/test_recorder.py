@@ -211,17 +211,26 @@ def test_a_tick_that_ended_in_a_fall_earns_nothing() -> None:
     assert rows == record(heard).rows
 
 
-def test_summary_speaks_of_first_and_last_cycles() -> None:
-    """Totals and windows follow from the body's lines."""
+@pytest.mark.parametrize(("cycles", "window"), [(1, 1), (3, 1), (4, 2), (399, 199), (401, 200)])
+def test_summary_speaks_of_first_and_last_cycles(cycles: int, window: int) -> None:
+    """Totals and windows follow from the body's lines; the windows share no cycle."""
+    recorder = record(run(cycles * TICKS, falls_at=[20]))
+    summary, rows = recorder.summary(), recorder.body_rows()
+    assert summary["cycles"] == cycles
+    for told, spoken_of in ((summary["first"], rows[:window]), (summary["last"], rows[-window:])):
+        assert told["cycles"] == window
+        assert told["falls"] == sum(row.falls or 0 for row in spoken_of)
+        assert told["reward"] == pytest.approx(sum(row.reward for row in spoken_of) / window)
+    json.dumps(summary, allow_nan=False)
+
+
+def test_totals_are_over_all_cycles() -> None:
+    """Not over the two windows."""
     recorder = record(run(3 * TICKS, falls_at=[50]))
     summary, rows = recorder.summary(), recorder.body_rows()
-    assert summary["cycles"] == 3
-    for window in (summary["first"], summary["last"]):
-        assert window["cycles"] == 3
-        assert window["falls"] == 1
-        assert window["reward"] == pytest.approx(sum(row.reward for row in rows) / 3)
-    assert summary["distance_per_cycle_m"] == summary["first"]["distance_per_cycle_m"]
-    json.dumps(summary, allow_nan=False)
+    assert summary["falls"] == 1
+    distances = [row.distance_m or 0.0 for row in rows]
+    assert summary["distance_per_cycle_m"] == pytest.approx(sum(distances) / 3)
 
 
 def test_absent_ticks_are_counted_by_leg() -> None:

@@ -31,7 +31,7 @@ TRACE = ("x_m", "y_m", "roll_rad", "pitch_rad", "yaw_rad")
 """The columns of ``traces.npy``; yaw goes on past half a turn, it does not jump back."""
 BODY = "body"
 WINDOW = 200
-"""Cycles at the beginning and at the end that the summary speaks of."""
+"""Cycles at the beginning and at the end that the summary speaks of; half of a shorter run each."""
 
 _SENSE = struct.Struct("<q8d3?")
 _COMMAND = struct.Struct("<q4d")
@@ -268,6 +268,7 @@ class Recorder:
     def summary(self) -> dict[str, Any]:
         """Return what ``summary.json`` says of the run itself: plain numbers by name."""
         rows = self.body_rows()
+        window = min(WINDOW, max(1, len(rows) // 2))  # so that the two do not overlap
         traces = np.frombuffer(self.traces).reshape(-1, len(TRACE))
         return {
             "cycles": len(rows),
@@ -277,8 +278,8 @@ class Recorder:
             "heading_change_rad": self._yaw() - float(traces[0, 4]) if len(traces) else None,
             "roll_sd_rad": float(traces[:, 2].std()) if len(traces) else None,
             "pitch_sd_rad": float(traces[:, 3].std()) if len(traces) else None,
-            "first": _window(rows[:WINDOW], self.terms[:WINDOW]),
-            "last": _window(rows[-WINDOW:], self.terms[-WINDOW:]),
+            "first": _window(rows[:window], self.terms[:window]),
+            "last": _window(rows[-window:], self.terms[-window:]),
             "absent_ticks": dict(self._absences),
             "commands_sha256": self._commands_hash.hexdigest(),
             "senses_sha256": self._senses_hash.hexdigest(),
