@@ -189,9 +189,9 @@ def _read(text: str) -> Any:
         mark = getattr(error, "problem_mark", None)
         where = f"line {mark.line + 1}: " if mark else ""
         why = getattr(error, "problem", None) or getattr(error, "reason", None) or "damaged"
-        raise ValueError(f"{where}no YAML: {str(why)[:100]}") from error
+        raise ValueError(f"{where}this is no YAML: {str(why)[:100]}") from error
     if not stack[0]:
-        raise ValueError("it is empty")
+        raise ValueError("it is empty; `ember params` prints what would be right")
     return stack[0][0]
 
 

@@ -363,7 +363,10 @@ def test_info_tells_what_is_inside(run: Go, walked: Made) -> None:
     assert lines["ticks"] == "64 from 0 on: 1 s, 2 cycles"
     assert lines["falls"] == "2"
     assert lines["lost ticks"] == "0"
-    assert lines["legs"] == "learning True, policy learned, seed 3, shared True, stage walk"
+    assert (
+        lines["legs"]
+        == "learning True, policy learned, seed 3, shared True, stage walk, start_cycle 0"
+    )
     assert lines["versions"] == "ember_ros 1.2.3"
     assert lines["parameters SHA-256"] == params_sha256(PARAMS)[:12]
     assert lines["table SHA-256, start"] == empty_table(PARAMS).sha256()[:12]

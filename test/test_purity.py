@@ -129,7 +129,7 @@ def test_only_nodes_and_bags_import_what_is_wired() -> None:
     wired = {"ember_ros.topics", "ember_ros.wire", "ember_ros.calls", "ember_ros.ros_params"}
     users = {name for name in SOURCES if wired & set(imports(name))}
     others = {name for name in users - ROS - MEASURES if not name.startswith("ember_ros.bag.")}
-    assert others == {"ember_ros.wire", "ember_ros.cli_bags", "ember_ros.spinning"}
+    assert others == {"ember_ros.wire", "ember_ros.cli_bags"}
 
 
 def test_only_assemblies_import_nodes() -> None:
