@@ -885,7 +885,8 @@ def test_card_and_table_come_back(run_of_64: tuple[Path, Heard]) -> None:
     first = {message.topic: decoded(message) for message in written(folder)[:3]}
     card = json.loads(first["/run/card"].data)
     assert card["legs"]["rear_left"] == {
-        "stage": "walk", "seed": 3, "policy": "learned", "learning": True, "shared": True, "start_cycle": 0
+        "stage": "walk", "seed": 3, "policy": "learned", "learning": True, "shared": True,
+        "start_cycle": 0,
     }  # fmt: skip
     assert first["/run/values"].data.tolist() == table.values.tolist()
     assert first["/run/visits"].data.tolist() == table.visits.tolist()
