@@ -22,7 +22,7 @@ from ember_ros.bag import look
 from ember_ros.bag.reading import Bag
 from ember_ros.bag.relearn import relearn
 from ember_ros.bag.repair import repair
-from ember_ros.bag.replay import WAYS, compared, replay, verdict
+from ember_ros.bag.replay import WAYS, replay, verdict
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.params import SPECS, replace
 from ember_ros.params_file import changed, config_names, dump_params, load_params
@@ -208,7 +208,7 @@ def replay_command(
         console.print(f"First difference: {done.difference}.")
     if done.paid_otherwise is not None:
         console.print(f"First difference in what a leg was paid: {done.paid_otherwise}.")
-    console.print(verdict(compared(done), stopped=done.stopped))
+    console.print(verdict(done.parts, whole=not (done.stopped or done.missing)))
     if not done.equal:
         sys.exit(DIFFERENT)
     if stop.asked:

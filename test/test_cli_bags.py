@@ -596,6 +596,19 @@ def test_replay_finds_senses_that_were_changed(run: Go, damaged: Path) -> None:
     assert "Equal" not in text
 
 
+@pytest.mark.parametrize("tick", [20, 50])
+def test_replay_says_what_differs_beside_the_first(
+    run: Go, walked: Made, damaged: Path, tick: int
+) -> None:
+    """A command before or after the changed senses: the verdict has both."""
+    command = slower("front_left", tick)
+    with Bag(damaged) as opened:
+        raws = [command(raw) for raw in opened.raw()]
+    write(Path("both"), [raw for raw in raws if raw is not None])
+    seal(Path("both"), table_sha256=walked.table)
+    assert "different: senses, commands" in words_of(run("replay", "both", code=1))
+
+
 def test_replay_of_a_run_that_is_not_all_there(run: Go, walked: Made) -> None:
     """It ends where the record does, says why, and is not called equal."""
     text = words_of(
@@ -603,6 +616,7 @@ def test_replay_of_a_run_that_is_not_all_there(run: Go, walked: Made) -> None:
     )
     assert "ticks 40 (1.25 cycles)" in text
     assert "The record ends early: tick 40 is not in the bag, tick 41 follows." in text
+    assert text.endswith("not recorded, or not to its end: table. Equal so far.")
     bag = rewritten(walked, Path("senses"), without("/rear_left/contact", since=9, until=10))
     text = words_of(run("replay", bag, code=1))
     assert "the senses of rear_left at tick 9 are not in the bag" in text

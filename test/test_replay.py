@@ -298,6 +298,7 @@ def test_a_changed_command_is_told_with_both_values(
     assert not done.equal
     for word in ("tick 70", "rear_left", field, str(true + 0.25), str(true)):
         assert word in str(done.difference)
+    assert done.parts == {"senses": True, "commands": False, "rewards": True, "table": True}
     # All the rest is done, and the table came out as it was recorded.
     assert (done.ticks, done.compared) == (walked.ticks, 4 * walked.ticks)
     assert done.table.sha256() == done.recorded_sha256
@@ -949,3 +950,7 @@ def test_a_verdict_names_each_part_once(
         False not in parts.values() and any((commands, rewards, table))
     )
     assert ("was changed" in said) is (not senses)
+    altered = senses and table and False in (commands, rewards)
+    assert ("was altered" in said) is bool(altered)
+    assert ("so far" in verdict(parts, whole=False)) is ("bit for bit" in said)
+    assert "bit for bit" not in verdict(parts, whole=False)

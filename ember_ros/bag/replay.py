@@ -207,39 +207,25 @@ class Replayed(NamedTuple):
     seconds: float
     """Wall time."""
 
+    parts: Mapping[str, bool | None]
+    """Whether senses, commands, rewards and table came out as they were recorded; None of what was
+    not, or not to its end."""
+
     @property
     def equal(self) -> bool:
         """Return whether everything that was recorded came out again."""
-        return (
-            self.difference is None
-            and self.paid_otherwise is None
-            and self.missing is None
-            and self.recorded_sha256 in (None, self.table.sha256())
-        )
+        return self.missing is None and False not in self.parts.values()
 
 
 SENSES = "CRC-32 of the senses"
 
 
-def compared(done: Replayed) -> dict[str, bool | None]:
-    """Return what came out as it was recorded, part by part; None where there is no record."""
-    changed = done.difference is not None and done.difference.field == SENSES
-    told = done.difference is None or changed
-    table = None if done.recorded_sha256 is None else done.recorded_sha256 == done.table.sha256()
-    return {
-        "senses": not changed,
-        "commands": told if done.compared else None,
-        "rewards": done.paid_otherwise is None if done.paid else None,
-        "table": table,
-    }
-
-
-def verdict(parts: Mapping[str, bool | None], *, stopped: bool = False) -> str:
+def verdict(parts: Mapping[str, bool | None], *, whole: bool = True) -> str:
     """Return in one line what is equal, what is not, and what that means.
 
     Args:
-        parts: ``senses``, ``commands``, ``rewards`` and ``table``, as ``compared`` returns them.
-        stopped: whether the replay was stopped before the end.
+        parts: of ``Replayed``.
+        whole: whether the replay came to the end of the bag.
     """
     lists = {
         "equal": [name for name, same in parts.items() if same],
@@ -248,10 +234,12 @@ def verdict(parts: Mapping[str, bool | None], *, stopped: bool = False) -> str:
     }
     told = "; ".join(f"{how}: {', '.join(names)}" for how, names in lists.items() if names)
     if not lists["different"]:
-        means = ". Equal so far" if stopped else ". Equal, bit for bit"
+        means = ". Equal, bit for bit" if whole else ". Equal so far"
         means = "" if lists["equal"] == ["senses"] else means
     elif parts["senses"] is False:
         means = ". The bag was changed after it was recorded"
+    elif parts["table"]:
+        means = ". What was learnt is the same: the record was altered, or the legs did not learn"
     elif parts["commands"] is False:
         means = ". The legs act otherwise than they did: another version, or another policy"
     elif parts["rewards"] is False:
@@ -310,8 +298,16 @@ def replay(
             else _by_graph(plan, world, folder, namespace, go_on)
         )
         seconds = time.perf_counter() - began
+    damages = [each for each in bag.damages if each.tick < done]
+    recorded_sha256 = bag.table_sha256 if world.over and not world.missing else None
+    parts = {
+        "senses": not damages,
+        "commands": world.difference is None if world.compared else None,
+        "rewards": world.paid_otherwise is None if world.paid else None,
+        "table": recorded_sha256 == table.sha256() if recorded_sha256 else None,
+    }
     difference = world.difference
-    for damage in [each for each in bag.damages if each.tick < done][:1]:
+    for damage in damages[:1]:
         if difference is None or damage.tick <= difference.tick:
             difference = Difference(
                 damage.tick,
@@ -330,9 +326,10 @@ def replay(
         paid_otherwise=world.paid_otherwise,
         missing=world.missing,
         table=table,
-        recorded_sha256=bag.table_sha256 if world.over and not world.missing else None,
+        recorded_sha256=recorded_sha256,
         stopped=not world.over,
         seconds=seconds,
+        parts=parts,
     )
 
 
