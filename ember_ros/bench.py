@@ -1,7 +1,8 @@
 """What a tick costs, and where: measured, never asserted.
 
 All ways of running one and the same walk are measured in turn, over and over, so that a machine
-that slows down slows all of them; what is quoted are medians, and ratios within one turn.
+that slows down slows all of them; what is quoted are medians, and ratios within one turn. The two
+learners that come with the package are measured so too, by the CPU time of all threads together.
 """
 
 from __future__ import annotations
@@ -19,16 +20,20 @@ from ember_ros.bag.storage import BagOptions
 from ember_ros.graph import Graph, processes
 from ember_ros.loop import Loop
 from ember_ros.params import Params, cells_sha256
-from ember_ros.plan import Plan, make_world
+from ember_ros.params_file import load_params
+from ember_ros.plan import WORLDS, Plan, make_world
 from ember_ros.report.recorder import Recorder
 from ember_ros.run import TABLE
 from ember_ros.signals import BodyState, LegCommand, LegSense, Pair, Phase, Transition
-from ember_ros.versions import versions
+from ember_ros.versions import provenance, versions
 from leg_node.shared import Push, SharedTable
 from leg_node.table import empty_table
 from leg_node.table_file import save_table
 
 Say = Callable[[str], None]
+
+LEARNERS: dict[str, tuple[str, ...]] = {"ember": (), "plain": ("plain",)}
+"""The parameter files of each learner."""
 
 
 class _Tape:
@@ -87,6 +92,8 @@ def bench(
             for way, measure in ways.items():
                 say(f"turn {turn + 1} of {repeats}: {way}")
                 times[way].append(measure())
+        say("learning: ember against plain")
+        learning = _learning(train_cycles, cycles, repeats, folder)
     say(f"the table over {epochs} epochs")
     ticks = cycles * params.gait.ticks
     cost = {way: 1e6 * statistics.median(t) / ticks for way, t in times.items()}
@@ -111,10 +118,12 @@ def bench(
             "message conversion": cost["conversion"],
             "executor and transport": cost["graph"] - cost["loop, recorded"] - cost["conversion"],
         },
+        "learning": learning,
         "training_cycles": train_cycles,
         "training_s": training_s,
         "table": _table_memory(params, epochs),
         "versions": versions(),
+        "provenance": provenance(),
     }
 
 
@@ -128,6 +137,35 @@ def _train(params: Params, cycles: int, file: Path) -> float:
     save_table(file, loop.finish(), params, plan.seed)
     loop.close()
     return took
+
+
+def _learning(
+    train_cycles: int, cycles: int, repeats: int, folder: Path
+) -> dict[str, dict[str, float]]:
+    """Return the CPU time of a tick of the loop, us, by world and learner, and their ratio.
+
+    Legs of a walker start from what a leg with the same learner was trained to.
+    """
+    plans: dict[tuple[str, str], Plan] = {}
+    for learner, files in LEARNERS.items():
+        params, table = load_params(*files), folder / f"{learner}.npz"
+        _train(params, train_cycles, table)
+        plans["trainer", learner] = Plan("trainer", cycles, params=params)
+        plans["walker", learner] = Plan("walker", cycles, params=params, table=table)
+    times: dict[tuple[str, str], list[float]] = {each: [] for each in plans}
+    for _ in range(repeats):
+        for each, plan in plans.items():
+            times[each].append(_loop(plan, record=False, clock=time.process_time))
+    found: dict[str, dict[str, float]] = {}
+    for world in WORLDS:
+        ember, plain = (times[world, learner] for learner in LEARNERS)
+        ticks = cycles * plans[world, "ember"].params.gait.ticks
+        found[world] = {
+            "ember_us": 1e6 * statistics.median(ember) / ticks,
+            "plain_us": 1e6 * statistics.median(plain) / ticks,
+            "ember_of_plain": statistics.median(a / b for a, b in zip(ember, plain, strict=True)),
+        }
+    return found
 
 
 def _tape(plan: Plan) -> tuple[_Tape, int]:
@@ -150,13 +188,13 @@ def _physics(plan: Plan, tape: _Tape) -> float:
     return took
 
 
-def _loop(plan: Plan, *, record: bool) -> float:
+def _loop(plan: Plan, *, record: bool, clock: Callable[[], float] = time.perf_counter) -> float:
     loop = Loop(plan)
     recorders = [Recorder(plan.params, plan.legs)] if record else []
-    began = time.perf_counter()
+    began = clock()
     for _ in range(plan.cycles * plan.params.gait.ticks):
         loop.tick(*recorders)
-    took = time.perf_counter() - began
+    took = clock() - began
     loop.close()
     return took
 
@@ -254,6 +292,14 @@ def lines(found: dict[str, Any]) -> list[tuple[str, str]]:
         ("seven processes", f"{found['processes_times_real_time']:.1f} times real time"),
     ]
     rows += [(f"a tick: {part}", f"{cost:.0f} us") for part, cost in found["us_per_tick"].items()]
+    rows += [
+        (
+            f"learning on the {world}: ember, of plain",
+            f"{cost['ember_of_plain']:.0%} ({cost['ember_us']:.0f} against "
+            f"{cost['plain_us']:.0f} us of CPU a tick)",
+        )
+        for world, cost in found["learning"].items()
+    ]
     rows.append((f"{found['training_cycles']} training cycles", f"{found['training_s']:.1f} s"))
     rows += [
         (f"shared table, {when.replace('_', ' ')}", f"{size / 1e6:.2f} MB")
@@ -272,7 +318,7 @@ def page(found: dict[str, Any], command: str) -> str:
         "medians, and ratios within one turn. Loop and graph are compared as `ember` runs them, "
         "with their record. Versions: "
         + ", ".join(f"{name} {number}" for name, number in found["versions"].items())
-        + ".",
+        + f". On {found['provenance']['cpu']}, {found['provenance']['date']}.",
         "",
         "| what | figure |",
         "|---|---|",

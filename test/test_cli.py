@@ -304,4 +304,8 @@ def test_bench_measures_every_way(run: Run) -> None:
     assert set(found["ticks_per_s"]) == ways
     assert min(found["ticks_per_s"].values()) > 0
     assert found["us_per_tick"]["message conversion"] > 0
-    assert "| seven processes |" in Path("out/bench/bench.md").read_text()
+    page = Path("out/bench/bench.md").read_text()
+    assert "| seven processes |" in page
+    for world in ("trainer", "walker"):
+        assert min(found["learning"][world].values()) > 0
+        assert f"| learning on the {world}: ember, of plain |" in page
