@@ -7,6 +7,7 @@ What rcl would understand in a way of its own, or for some nodes alone, is refus
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -54,10 +55,11 @@ def load_params(*files: Path | str, settings: Sequence[str] = ()) -> Params:
         ParameterError: one is missing, no YAML, of another form, or names or values are wrong.
     """
     params = Params()
+    before: set[str] = set()
     for file in map(Path, files):
         own = CONFIG / f"{file}.yaml"
         named = not file.is_file() and str(file) in config_names()
-        params = _load(own if named else file, params)
+        params = _load(own if named else file, params, before)
     return changed(params, settings)
 
 
@@ -79,8 +81,8 @@ def changed(params: Params, settings: Sequence[str]) -> Params:
     return replace(params, changes)
 
 
-def _load(file: Path, base: Params) -> Params:
-    """Return ``base`` with what a file says."""
+def _load(file: Path, base: Params, before: set[str]) -> Params:
+    """Return ``base`` with what a file says; ``before``: the names that files have said so far."""
     right = f"`{SECTION}: {{{NUMBERS}: {{group: {{name: value}}}}}}` would be right"
     try:
         content = _read(read_text(file, MOST_TEXT))
@@ -106,7 +108,16 @@ def _load(file: Path, base: Params) -> Params:
     if not isinstance(numbers, dict):
         raise ParameterError(f"{file}: {right}")
     try:
-        return replace(base, dict(_names(numbers)))
+        changes = dict(_names(numbers))
+        # rcl writes a name with a dot into the place it had, beside a value of another type, and
+        # then hands out the one it finds first: not always the later file's.
+        if again := sorted(before & set(numbers)):
+            raise ParameterError(
+                f"an earlier file says {shown(again[0])} too, and nodes do not always take the "
+                "later of two when it has a dot; a group and a name in it would be right"
+            )
+        before |= set(changes)
+        return replace(base, changes)
     except ParameterError as error:
         raise ParameterError(f"{file}: {error}") from error
 
@@ -163,6 +174,8 @@ def _read(text: str) -> Any:
                 documents += 1
                 if documents > 1:
                     raise ValueError(f"line {line}: a second document; one would be right")
+                if event.version:
+                    raise ValueError(f"line {line}: not every rcl reads %YAML; leave it out")
             elif isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
                 raise ValueError(f"line {line}: rcl reads no anchors and aliases")
             elif (tag := getattr(event, "tag", None)) is not None:
@@ -170,6 +183,15 @@ def _read(text: str) -> Any:
             elif isinstance(event, yaml.ScalarEvent):
                 plain = event.style is None
                 is_key = isinstance(stack[-1], dict) and keys[-1] is None
+                if not event.value and event.style not in ("'", '"'):
+                    raise ValueError(
+                        f"line {line}: it is empty where a name or value would be right"
+                    )
+                if plain and set(event.value) & set(":?"):  # in braces, it hangs on libyaml's age
+                    raise ValueError(
+                        f"line {line}: {shown(event.value)} is no number; of a text, quotes would "
+                        "be right"
+                    )
                 put(_scalar(event.value) if plain and not is_key else event.value, line)
             elif isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent)):
                 if len(stack) > MOST_DEEP:
@@ -179,6 +201,10 @@ def _read(text: str) -> Any:
             elif isinstance(event, (yaml.MappingEndEvent, yaml.SequenceEndEvent)):
                 done = stack.pop()
                 keys.pop()
+                if not done:
+                    raise ValueError(f"line {line}: nothing in brackets, which rcl stumbles over")
+                if isinstance(done, list) and any(isinstance(each, (list, dict)) for each in done):
+                    raise ValueError(f"line {line}: rcl reads lists of single values alone")
                 if isinstance(done, list) and len({type(each) for each in done}) > 1:
                     raise ValueError(
                         f"line {line}: {shown(done)} has numbers of two kinds, which rcl refuses; "
@@ -206,10 +232,13 @@ def _scalar(text: str) -> Any:
             # `0` then a digit that is not octal ends an integer there; the rest is read as a float.
             if base == 10 and len(text.lstrip("-+")) > 1 and text.lstrip("-+").startswith("0"):
                 return float(text)
-            number = int(text, base)
-            return number if -(2**63) <= number < 2**63 else float(number)
+            whole = int(text, base)
+            return whole if -(2**63) <= whole < 2**63 else float(whole)
     if _FLOAT.fullmatch(text):
-        return float(text)
+        number = float(text)
+        # C has no number for what is too small to be kept whole, and rcl takes that for a text.
+        small = abs(number) < sys.float_info.min and re.search("[1-9]", re.split("[eE]", text)[0])
+        return text if small else number
     if _SPECIAL.fullmatch(text):
         return float(text.replace(".", ""))
     return text

@@ -23,7 +23,7 @@ def in_file(file: Path, text: str) -> Path:
     return file
 
 
-def by_node(file: Path) -> dict[str, Any] | None:
+def by_node(*files: Path) -> dict[str, Any] | None:
     """Return what a node reads; None where rcl or the node refuses it."""
     rclpy = pytest.importorskip("rclpy")
     from rclpy.signals import SignalHandlerOptions
@@ -33,7 +33,8 @@ def by_node(file: Path) -> dict[str, Any] | None:
     context = rclpy.Context()
     try:
         rclpy.init(
-            args=["--ros-args", "--log-level", "fatal", "--params-file", str(file)],
+            args=["--ros-args", "--log-level", "fatal"]
+            + [word for file in files for word in ("--params-file", str(file))],
             context=context,
             signal_handler_options=SignalHandlerOptions.NO,
         )
@@ -57,10 +58,10 @@ def by_node(file: Path) -> dict[str, Any] | None:
         context.try_shutdown()
 
 
-def by_ember(file: Path) -> dict[str, Any] | str:
+def by_ember(*files: Path) -> dict[str, Any] | str:
     """Return what ``ember --params`` reads, or why it does not."""
     try:
-        return dict(flat(load_params(file)))
+        return dict(flat(load_params(*files)))
     except ParameterError as error:
         return str(error)
 
@@ -82,10 +83,14 @@ SCALARS = (
     "2001-01-01", "2001-13-45", "!!float 1", "!!int abc", "&a 0.01", "*a", "[0.1, 0.2]", "[1, 0.5]",
     "[0.5, 1]", "[]", "[[0.1]]", "{a: 1}", "1.0e+0", "9223372036854775807", "9223372036854775808",
     "9" * 5000, "[" * 3000, "- 1", "0.01 # a word", "0,5", "1.2.3", "0b1", "0o17", "1e", "--1",
+    "1e-310", "-1e-400", "0e-400", "0.0", "2.2250738585072014e-308",
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["reward.slip_scale", "train.epsilon_cycles", "state.force_edges"])
+@pytest.mark.parametrize(
+    "name",
+    ["reward.slip_scale", "train.epsilon_cycles", "state.force_edges", "trainer.modulation"],
+)
 @pytest.mark.parametrize("scalar", SCALARS, ids=lambda text: text[:20])
 def test_every_way_to_write_a_value(tmp_path: Path, name: str, scalar: str) -> None:
     """A number, a whole number and a list, written in ways that readers of YAML differ in."""
@@ -118,6 +123,14 @@ FORMS = {
     "flow": "{/**: {ros__parameters: {walker: {length: 1.0}}}}\n",
     "unknown": HEAD + "    walker.lenght: 1.0\n",
     "windows lines": (HEAD + "    walker.length: 1.0\n").replace("\n", "\r\n"),
+    "empty group": HEAD + "    walker: {}\n    gait:\n      period: 1.0\n",
+    "empty list for ROS": HEAD + "    use_sim_time: []\n    walker.length: 1.0\n",
+    "nothing for ROS": HEAD + "    qos_overrides:\n      a:\n    walker.length: 1.0\n",
+    "lists in a list": HEAD + "    qos_overrides: {a: [[1], [2]]}\n    walker.length: 1.0\n",
+    "groups in a list": HEAD + "    qos_overrides: {a: [{b: 1}]}\n    walker.length: 1.0\n",
+    "colon in braces": HEAD + "    qos_overrides: {a: x:y}\n    walker.length: 1.0\n",
+    "question in brackets": HEAD + "    qos_overrides: {a: [?x]}\n    walker.length: 1.0\n",
+    "another YAML": "%YAML 1.2\n---\n" + HEAD + "    walker.length: 1.0\n",
     "deep": HEAD + "    " + "{a: " * 2000 + "1" + "}" * 2000,
 }
 
@@ -128,6 +141,32 @@ def test_every_form_of_a_file(tmp_path: Path, form: str) -> None:
     read = alike(in_file(tmp_path / "p.yaml", FORMS[form]))
     good = {"dotted", "sim time", "flow", "windows lines", "qos"}
     assert isinstance(read, dict) is (form in good), read
+
+
+NESTED, DOTTED = "    walker:\n      mass: {}\n", "    walker.mass: {}\n"
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "good"),
+    [
+        (NESTED.format(4), NESTED.format(5.5), True),
+        (DOTTED.format(4), NESTED.format(5.5), True),
+        (NESTED.format(4), DOTTED.format(5.5), False),  # a node takes 4
+        (DOTTED.format(4), DOTTED.format(5.5), False),  # here too
+        (NESTED.format(4.5), "    walker.length: 1.0\n", True),
+    ],
+)
+def test_the_later_of_two_files_wins_for_nodes_too(
+    tmp_path: Path, first: str, second: str, good: bool
+) -> None:
+    """Two files are one robot to both; where a node would not take the later, ember takes none."""
+    files = [in_file(tmp_path / name, HEAD + text) for name, text in (("a", first), ("b", second))]
+    read = by_ember(*files)
+    assert isinstance(read, dict) is good, read
+    if good:
+        assert read == by_node(*files)
+    else:
+        assert "'walker.mass' too" in str(read)
 
 
 def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
