@@ -23,7 +23,7 @@ from ember_ros.experiments.reproduction import ALL, DOCUMENT, RESULTS, STUDIES, 
 from ember_ros.experiments.study import Size, Study, belongs, collect, write
 from ember_ros.experiments.words import Found
 from ember_ros.params import SPECS, Params
-from ember_ros.params_file import changed, dump_params, load_params
+from ember_ros.params_file import changed, dump_params, load_params, range_of
 from ember_ros.plan import Plan
 from ember_ros.resume import beginning, resumed
 from ember_ros.run import PICTURE, SUMMARY, TABLE, WAYS, GoOn, run
@@ -556,7 +556,7 @@ def params_command(describe: bool) -> None:
     for name, spec in SPECS.items():
         default = spec.default
         shown = ", ".join(map(str, default)) if isinstance(default, tuple) else str(default)
-        click.echo(f"{name} = {shown} [{spec.unit}], {spec.low:g} to {spec.high:g}")
+        click.echo(f"{name} = {shown} [{spec.unit}], {range_of(spec)}")
         click.echo(f"    {spec.doc}")
 
 

@@ -25,7 +25,7 @@ from ember_ros.bag.repair import repair
 from ember_ros.bag.replay import WAYS, replay, verdict
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.params import SPECS, replace
-from ember_ros.params_file import changed, config_names, dump_params, load_params
+from ember_ros.params_file import changed, config_names, dump_params, load_params, read_settings
 from ember_ros.run import TABLE, no_ros
 from ember_ros.spinning import prepare_environment, stop_signals
 from ember_ros.terminal import Terminal
@@ -54,7 +54,7 @@ PARAMS = click.option(
 def _settings(
     context: click.Context, parameter: click.Parameter, given: tuple[str, ...]
 ) -> tuple[str, ...]:
-    load_params(settings=given)  # what is wrong with one is said before anything is opened
+    read_settings(given)  # what is wrong with one is said before anything is opened
     return given
 
 

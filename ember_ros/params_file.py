@@ -6,9 +6,10 @@ What rcl would understand in a way of its own, or for some nodes alone, is refus
 
 from __future__ import annotations
 
+import math
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import yaml
 
 from ember_ros.errors import ParameterError, shown
 from ember_ros.given import read_text
-from ember_ros.params import Params, as_dict, replace
+from ember_ros.params import Params, Spec, as_dict, check, replace
 
 SECTION = "/**"
 NUMBERS = "ros__parameters"
@@ -69,16 +70,25 @@ def changed(params: Params, settings: Sequence[str]) -> Params:
     Raises:
         ParameterError: one is not of that form, or its name or value is wrong.
     """
+    return replace(params, read_settings(settings))
+
+
+def read_settings(settings: Sequence[str]) -> Mapping[str, Any]:
+    """Return names and values of ``group.field=value`` each, whatever they are set on top of.
+
+    Raises:
+        ParameterError: one is not of that form, or its name or value is wrong.
+    """
     changes: dict[str, Any] = {}
     for setting in settings:
         name, equals, value = setting.partition("=")
         if not equals:
             raise ParameterError(f"--set {shown(setting)}: group.field=value would be right")
         try:
-            changes[name.strip()] = _read(value)
+            changes[name.strip()] = check(name.strip(), _read(value))
         except ValueError as error:
             raise ParameterError(f"--set {shown(setting)}: {error}") from error
-    return replace(params, changes)
+    return changes
 
 
 def _load(file: Path, base: Params, before: set[str]) -> Params:
@@ -242,6 +252,15 @@ def _scalar(text: str) -> Any:
     if _SPECIAL.fullmatch(text):
         return float(text.replace(".", ""))
     return text
+
+
+def range_of(spec: Spec) -> str:
+    """Return a parameter's range in words, an end that is open too."""
+    low, high = spec.low, spec.high
+    if math.isfinite(low) and math.isfinite(high):
+        return f"{low:g} to {high:g}"
+    ends = [f"{low:g} or more"] * math.isfinite(low) + [f"{high:g} or less"] * math.isfinite(high)
+    return f"{''.join(ends) or 'any number'}, and finite"
 
 
 def dump_params(params: Params) -> str:

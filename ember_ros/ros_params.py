@@ -19,16 +19,7 @@ from rclpy.node import Node
 from ember_ros.errors import ParameterError
 from ember_ros.options import OPTION_NAMES, OPTIONS, check_option, is_ros_own
 from ember_ros.params import SPECS, Params, Spec, check, replace
-
-
-def range_of(spec: Spec) -> str:
-    """Return a range in words, where one end or both are open."""
-    ends = []
-    if math.isfinite(spec.low):
-        ends.append(f"{spec.low:g} or more")
-    if math.isfinite(spec.high):
-        ends.append(f"{spec.high:g} or less")
-    return f"{' and '.join(ends) or 'any number'}, and finite"
+from ember_ros.params_file import range_of
 
 
 def _descriptor(spec: Spec) -> ParameterDescriptor:

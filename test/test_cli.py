@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -222,6 +223,19 @@ def test_printed_parameters_are_a_file_that_says_the_same(run: Run) -> None:
     assert set(yaml.safe_load(text)) == {"/**"}
     described = " ".join(run("params", "--describe").split())
     assert "hip axis to the middle plane" in described
+    assert "leg.load = 24.525 [N], 0.01 or more, and finite" in described
+    assert "reward.slip = 1.0 [1], any number, and finite" in described
+    assert not re.search(r"\binf\b", described)
+
+
+def test_set_goes_with_the_files_not_with_the_defaults(run: Run) -> None:
+    """A number that only fits what a file says is taken; alone, it is refused, in one line."""
+    Path("p.yaml").write_text("/**: {ros__parameters: {trainer: {stop_high: 0.7}}}")
+    words = ("train", "--cycles", 1, "--set", "trainer.stop_low=0.6")
+    run(*words, "--params", "p.yaml", "--out", "out/both")
+    output = run(*words, "--out", "out/alone", code=2)
+    assert output.startswith("error: trainer.stop_low = 0.6")
+    assert output.count("\n") == 1
 
 
 def test_demo_trains_walks_and_draws(run: Run) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ember_ros.errors import ParameterError
 from ember_ros.params import SPECS, Params, flat
-from ember_ros.params_file import changed, load_params
+from ember_ros.params_file import changed, load_params, read_settings
 
 HEAD = "/**:\n  ros__parameters:\n"
 
@@ -218,6 +218,7 @@ def test_set_is_read_as_a_file_is() -> None:
     assert (params.walker.length, params.state.force_edges) == (1.0, (0.1, 1.0))
     together = changed(Params(), ["trainer.stop_low=0.6", "trainer.stop_high=0.7"])
     assert together.trainer.stop_low == 0.6
+    assert read_settings(["trainer.stop_low=0.6"]) == {"trainer.stop_low": 0.6}
     for setting, why in {
         "walker.lenght=1.0": "did you mean walker.length",
         "walker.length": "group.field=value would be right",
