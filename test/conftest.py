@@ -9,7 +9,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -158,8 +158,12 @@ class Ros:
         """Initialise the context."""
         import rclpy
         from rclpy.experimental.events_executor import EventsExecutor
+        from rclpy.logging import LoggingSeverity, set_logger_level
         from rclpy.node import Node
         from rclpy.signals import SignalHandlerOptions
+
+        # The level is the process's own: a graph that `ember` ran before keeps it at warnings.
+        set_logger_level("", LoggingSeverity.INFO)
 
         self.domain = domain
         self.context = rclpy.Context()
@@ -194,9 +198,19 @@ class Ros:
             self.spin_until(lambda: not gone & self.alive(), f"{gone} destroyed")
 
     def alive(self) -> set[str]:
-        """Return the names of all nodes on the graph."""
-        names = self.node.get_node_names_and_namespaces()
-        return {f"{namespace.rstrip('/')}/{name}" for name, namespace in names}
+        """Return the names of all nodes on the graph that have any endpoint, as a living one has.
+
+        A name alone can stay for ever: what a process says of its nodes may arrive behind its
+        goodbye, and rmw_dds_common then adds a participant that will never say another one.
+        """
+        from rclpy.node import NodeNameNonExistentError
+
+        found = set()
+        for name, namespace in self.node.get_node_names_and_namespaces():
+            with suppress(NodeNameNonExistentError):  # gone meanwhile
+                if self.node.get_publisher_names_and_types_by_node(name, namespace):
+                    found.add(f"{namespace.rstrip('/')}/{name}")
+        return found
 
     def spin_once(self, timeout: float = 0.02) -> None:
         """Let one callback run, or wait a moment for one."""
