@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from ember_ros.bag.storage import BagOptions
 from ember_ros.children import STOP_S, child_of
 from ember_ros.errors import EmberError, GraphError
-from ember_ros.params import as_dict
+from ember_ros.params import as_dict, by_full_name
 from ember_ros.params_file import dump_params
 from ember_ros.plan import Plan
 from ember_ros.seat import TAKEN, Seat, TakenError, domain, make_sure, run_seat
@@ -139,11 +139,7 @@ class Graph:
             self._seat = run_seat(context.get_domain_id(), namespace)
             for name, options in node_options(plan, out, patience, bag).items():
                 make = makers.get(name, LegNode)
-                given = {
-                    f"{group}.{field}": value
-                    for group, numbers in as_dict(plan.params).items()
-                    for field, value in numbers.items()
-                } | options
+                given = by_full_name(as_dict(plan.params)) | options
                 node = make(
                     context=context,
                     namespace=namespace,

@@ -420,6 +420,11 @@ def as_dict(params: Params) -> dict[str, dict[str, Any]]:
     return out
 
 
+def by_full_name(nested: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what ``as_dict`` nests by full names, ``group.field``."""
+    return {f"{group}.{n}": v for group, fields in nested.items() for n, v in fields.items()}
+
+
 def digest(content: Any) -> str:
     """Return the SHA-256 of plain values: of their JSON with sorted names."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

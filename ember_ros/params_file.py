@@ -17,6 +17,7 @@ import yaml
 
 from ember_ros.errors import ParameterError, shown
 from ember_ros.given import read_text
+from ember_ros.options import is_ros_own
 from ember_ros.params import Params, Spec, as_dict, check, replace
 
 SECTION = "/**"
@@ -25,8 +26,6 @@ MOST_TEXT = 1 << 20
 """Bytes of a file: hundreds of times what all parameters need."""
 MOST_DEEP = 8
 """Levels of nesting: rcl knows three of ours."""
-ROS_OWN = ("use_sim_time", "qos_overrides", "start_type_description_service")
-"""What every ROS node has: no number of the robot, and left to the nodes."""
 CONFIG = Path(__file__).parent / "config"
 """The parameter files that come with the package, for ``ember`` and for ``ros2 run`` alike."""
 
@@ -141,14 +140,13 @@ def _names(numbers: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any
     seen: set[str] = set()
     for key, value in numbers.items():
         name = f"{before}{key}"
-        if not before and key.split(".")[0] in ROS_OWN:
-            continue
         found = _names(value, f"{name}.") if isinstance(value, dict) else iter([(name, value)])
         for each, number in found:
             if each in seen:
                 raise ParameterError(f"{each} is said twice")
             seen.add(each)
-            yield each, number
+            if not is_ros_own(each):  # no number of the robot, and left to the nodes
+                yield each, number
 
 
 def _read(text: str) -> Any:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from ember_ros.errors import ParameterError, TableError
-from ember_ros.params import Params, replace
+from ember_ros.params import Params, by_full_name, replace
 from ember_ros.plan import Plan
 from ember_ros.run import SUMMARY, TABLE
 from leg_node.policy import epsilon_at
-from leg_node.table_file import flat_names, load_about, load_table, told_differences
+from leg_node.table_file import load_about, load_table, told_differences
 
 
 def resumed(run: Path, world: str) -> tuple[int, Params]:
@@ -37,8 +38,9 @@ def resumed(run: Path, world: str) -> tuple[int, Params]:
             f"{run} does not say how many cycles it came to; --table {run / TABLE} starts from its "
             "table at cycle 0"
         )
+    stored: Any = about.get("params")
     try:
-        return cycle, replace(Params(), flat_names(about.get("params")))
+        return cycle, replace(Params(), by_full_name(stored))
     except (ParameterError, AttributeError) as error:
         raise TableError(
             f"{run / TABLE} has other parameters than this version: {error}"

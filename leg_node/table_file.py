@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 import ember_ros
 from ember_ros.errors import TableError, shown
 from ember_ros.given import open_file, read_json
-from ember_ros.params import MOST_CELLS, Params, as_dict, cells_sha256, params_sha256
+from ember_ros.params import MOST_CELLS, Params, as_dict, by_full_name, cells_sha256, params_sha256
 from leg_node.table import Table, empty_table
 
 MOST_SHOWN = 8
@@ -155,11 +155,6 @@ def _about(content: zipfile.ZipFile) -> dict[str, Any]:
     return about
 
 
-def flat_names(params: Any) -> dict[str, Any]:
-    """Return nested parameters by their full names."""
-    return {f"{group}.{n}": v for group, fields in params.items() for n, v in fields.items()}
-
-
 def _differences(was: Mapping[str, Any], now: Params) -> list[str]:
     """Return which parameters a table was learnt with that are not in force now.
 
@@ -170,7 +165,7 @@ def _differences(was: Mapping[str, Any], now: Params) -> list[str]:
     stored = was.get("params")
     if not isinstance(stored, Mapping):
         return []
-    then, here = flat_names(stored), flat_names(as_dict(now))
+    then, here = by_full_name(stored), by_full_name(as_dict(now))
     return [
         f"{name} {shown(then.get(name, 'not there'))}, now {shown(here.get(name, 'not there'))}"
         for name in dict.fromkeys([*here, *then])

@@ -188,8 +188,6 @@ class Replayed(NamedTuple):
     cycles: float
     compared: int
     """Commands that were held against the record."""
-    paid: int
-    """Transitions, what legs were paid, that were held against it up to the first that differs."""
     unanswered: dict[str, int]
     """Ticks in which a leg's command was not recorded, by leg, where there are any."""
     difference: Difference | None
@@ -320,7 +318,6 @@ def replay(
         ticks=done,
         cycles=done / ticks_a_cycle,
         compared=world.compared,
-        paid=world.paid,
         unanswered={leg: n for leg, n in world.unanswered.items() if n},
         difference=difference,
         paid_otherwise=world.paid_otherwise,

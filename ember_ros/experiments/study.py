@@ -7,6 +7,7 @@ made from that value alone, so no figure in them is typed by hand.
 from __future__ import annotations
 
 import csv
+import functools
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -74,9 +75,15 @@ class Study:
 
 def numbers(learner: str = "ember", body: str = "reference", **changes: Any) -> Params:
     """Return the parameters of a learner in a body; ``__`` stands for the dot in names."""
+    own = _of_package(learner, body)
+    return replace(own, {k.replace("__", "."): v for k, v in changes.items()})
+
+
+@functools.cache
+def _of_package(learner: str, body: str) -> Params:
+    """Return what the package's files say: read once, for thousands of trials."""
     # Not by name: a file of the user's that is called so would be taken.
-    files = [CONFIG / f"{name}.yaml" for name in (learner, body) if name != "ember"]
-    return replace(load_params(*files), {k.replace("__", "."): v for k, v in changes.items()})
+    return load_params(*(CONFIG / f"{name}.yaml" for name in (learner, body) if name != "ember"))
 
 
 def trained(learner: str, size: Size, seed: int, **changes: Any) -> Trial:
