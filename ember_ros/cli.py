@@ -29,7 +29,7 @@ from ember_ros.resume import beginning, resumed
 from ember_ros.run import PICTURE, SUMMARY, TABLE, WAYS, GoOn, run
 from ember_ros.spinning import Stop, prepare_environment, stop_signals
 
-RELEARN = "relearn"
+RELEARN, ISOTROPY = "relearn", "isotropy"
 """The experiment that is made of bags, not of trials."""
 
 
@@ -414,11 +414,12 @@ def bench(
 
 
 @main.command()
-@click.argument("name", type=click.Choice([*STUDIES, RELEARN, ALL]))
+@click.argument("name", type=click.Choice([*STUDIES, RELEARN, ISOTROPY, ALL]))
 @click.option(
     "--seeds",
     type=click.IntRange(1, 100),  # from 100 on they are held out
-    help="How many; of learners at most 4, of sensitivity 3. Default: 10 (relearn: 5).",
+    help="How many; of learners at most 4, of sensitivity 3. Default: 10 (relearn: 5; isotropy "
+    "has one).",
 )
 @click.option(
     "--cycles",
@@ -428,7 +429,8 @@ def bench(
 @click.option(
     "--walk-cycles",
     type=click.IntRange(1),
-    help="On the body, where a walk is long; others take 1/14. Default: 7000 (relearn: 300).",
+    help="On the body, where a walk is long; others take 1/14. "
+    "Default: 7000 (relearn: 300, isotropy: 500).",
 )
 @click.option(
     "--out",
@@ -474,17 +476,25 @@ def experiment(
     senses       each sense left out; what a walker meets that is new to it
     sensitivity  the mechanics, one number at a time
     relearn      tables learnt from bags of random and scripted walkers
+    isotropy     whether the world is the same in every direction
     all          all of the paper's, and the document REPRODUCTION.md
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
     command = shlex.join(["ember", *sys.argv[1:]])
-    if name == RELEARN and redraw:
-        _write_relearn(read(RELEARN, out / RESULTS), out)
-        return
     if name == RELEARN:
-        _relearn(seeds or 5, cycles or relearn.CYCLES, walk_cycles or 300, out, trials, command)
+        if redraw:
+            _write_page(name, read(name, out / RESULTS), relearn.page, out)
+        else:
+            _relearn(seeds or 5, cycles or relearn.CYCLES, walk_cycles or 300, out, trials, command)
+        return
+    need("matplotlib", why="to draw what comes of it")
+    if name == ISOTROPY:
+        need("pybullet", why="to build its worlds")
+        if redraw:
+            _write_isotropy(read(name, out / RESULTS), out)
+        else:
+            _isotropy(cycles or 6000, walk_cycles or 500, out, trials, command)
         return
     need("scipy", why="for the statistics of experiments")
-    need("matplotlib", why="to draw what comes of them")
     studies = list(STUDIES.values()) if name == ALL else [STUDIES[name]]
     if redraw:
         _redraw(studies, out)
@@ -529,15 +539,36 @@ def _relearn(
     if len(found["seeds"]) < seeds:
         console.print(f"Stopped after {len(found['seeds'])} of {seeds} seeds; nothing was written.")
         sys.exit(INTERRUPTED)
-    _write_relearn(found, out)
+    _write_page(RELEARN, found, relearn.page, out)
 
 
-def _write_relearn(found: Found, out: Path) -> None:
+def _isotropy(cycles: int, walk_cycles: int, out: Path, trials: Path, command: str) -> None:
+    from ember_ros.experiments import isotropy
+
+    with stop_signals() as stop, _progress(ISOTROPY, 100, stop, "%") as go_on:
+        found = isotropy.isotropy_experiment(
+            cycles, walk_cycles, trials, lambda done, of: go_on(100 * done // of, 0), command
+        )
+    if found is None:
+        console.print("Stopped; nothing was written.")
+        sys.exit(INTERRUPTED)
+    _write_isotropy(found, out)
+
+
+def _write_isotropy(found: Found, out: Path) -> None:
+    from ember_ros.experiments import isotropy
+
+    isotropy.draw(found, out / RESULTS / f"{ISOTROPY}.png")
+    _write_page(ISOTROPY, found, isotropy.page, out)
+
+
+def _write_page(name: str, found: Found, page: Callable[[Found], str], out: Path) -> None:
+    """Write the page and the numbers of an experiment that has no trials of its own."""
     folder = out / RESULTS
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{RELEARN}.md").write_text(relearn.page(found), encoding="utf-8")
-    (folder / f"{RELEARN}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    console.print(f"In {folder}: {RELEARN}.md, {RELEARN}.json")
+    (folder / f"{name}.md").write_text(page(found), encoding="utf-8")
+    (folder / f"{name}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    console.print(f"In {folder}: {name}.md, {name}.json")
 
 
 @main.command("params")
