@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shlex
 import sys
@@ -11,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Grid
 
 import ember_ros
 from ember_ros.bag.storage import BagOptions
-from ember_ros.cli_bags import COMMANDS, INTERRUPTED, NAMESPACE, PARAMS, SET, console
+from ember_ros.cli_bags import COMMANDS, FOLDER, INTERRUPTED, NAMESPACE, PARAMS, SET
 from ember_ros.errors import EmberError, ParameterError, need
 from ember_ros.experiments import lab, relearn
 from ember_ros.experiments.reproduction import ALL, DOCUMENT, RESULTS, STUDIES, document, read
@@ -26,21 +26,30 @@ from ember_ros.params import SPECS, Params
 from ember_ros.params_file import changed, dump_params, load_params, range_of
 from ember_ros.plan import Plan
 from ember_ros.resume import beginning, resumed
-from ember_ros.run import PICTURE, SUMMARY, TABLE, WAYS, GoOn, run
+from ember_ros.run import EARLIER, PICTURE, SUMMARY, TABLE, WAYS, GoOn, run
 from ember_ros.spinning import Stop, prepare_environment, stop_signals
+from ember_ros.terminal import console, doing, progress, say_all_paths
 
 RELEARN, ISOTROPY = "relearn", "isotropy"
-"""The experiment that is made of bags, not of trials."""
+"""The experiments that are not made of trials."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+"""What a disk says that takes nothing more; not always with the name of a file."""
 
 
 class _Group(click.Group):
     """Says errors of ours in one line, with exit code 2, as click does its own."""
 
     def invoke(self, ctx: click.Context) -> Any:
+        say_all_paths()
         try:
             return super().invoke(ctx)
         except EmberError as error:
             click.echo(f"error: {error}", err=True)
+            ctx.exit(2)
+        except OSError as error:
+            if error.filename is None and error.errno not in FULL:
+                raise  # a broken pipe is click's own, and what says nothing has a traceback
+            click.echo(f"error: {error.strerror}: {error.filename or 'while writing'}", err=True)
             ctx.exit(2)
 
 
@@ -64,7 +73,8 @@ FORCE = click.option(
 def _refuse_to_replace(*folders: Path) -> None:
     """Raise a ParameterError if one of the folders holds a run."""
     for out in folders:
-        kept = [name for name in (SUMMARY, TABLE) if (out / name).exists()]
+        places = (out, out / EARLIER)  # where a run was killed before it had begun
+        kept = [name for name in (SUMMARY, TABLE) if any((p / name).exists() for p in places)]
         if kept:
             raise ParameterError(
                 f"{out} holds an earlier run ({', '.join(kept)}); give another --out, or --force "
@@ -125,7 +135,7 @@ def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
             ),
             click.option(
                 "--resume",
-                type=click.Path(path_type=Path, file_okay=False),
+                type=FOLDER,
                 metavar="RUN",
                 help="Go on from the run in this folder: with its table and parameters, "
                 "exploration and cycle count where they were. The world begins anew, so it is not "
@@ -135,7 +145,7 @@ def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
             SET,
             click.option(
                 "--out",
-                type=click.Path(path_type=Path, file_okay=False),
+                type=FOLDER,
                 default=out,
                 show_default=True,
                 help="Folder for table.npz, cycles.csv, summary.json and run.png.",
@@ -267,29 +277,18 @@ def _end_early(summary: dict[str, Any], out: Path) -> None:
 
 @contextmanager
 def _progress(label: str, total: int, stop: Stop, unit: str = "cycles") -> Iterator[GoOn]:
-    counter = "cycles, {task.fields[falls]} falls" if unit == "cycles" else unit
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(counter),
-        TimeRemainingColumn(),
-        console=console,
-    )
-    task = bar.add_task(label, total=total, falls=0)
+    with progress(label, total) as update:
 
-    def go_on(done: int, falls: int) -> bool:
-        bar.start()  # only now: a mistake that is found before is said in one line
-        bar.update(task, completed=done, falls=falls)
-        return not stop.asked
+        def go_on(done: int, falls: int) -> bool:
+            told = f"{done}/{total} {unit}" + (f", {falls} falls" if unit == "cycles" else "")
+            update(done, told)
+            last[:] = [falls]
+            return not stop.asked
 
-    try:
+        last: list[int] = []
         yield go_on
-        if not stop.asked:
-            bar.update(task, completed=total)
-    finally:
-        if bar.live.is_started:
-            bar.stop()
+        if not stop.asked and last:
+            go_on(total, *last)
 
 
 def _number(value: float | None, form: str = ".3f") -> str:
@@ -330,7 +329,7 @@ def _grid(summaries: dict[str, dict[str, Any]]) -> Grid:
 @SET
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     default="out/demo",
     show_default=True,
     help="Folder for both runs and demo.png.",
@@ -384,7 +383,7 @@ def demo(
 @SET
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     default="out/bench",
     show_default=True,
     help="Folder for bench.json and bench.md.",
@@ -400,8 +399,8 @@ def bench(
     from ember_ros import bench as measure
 
     params = load_params(*params_files, settings=settings)
-    with console.status("") as status:
-        found = measure.bench(params, say=status.update, **sizes)
+    with doing("measuring") as say:
+        found = measure.bench(params, say=say, **sizes)
     out.mkdir(parents=True, exist_ok=True)
     (out / "bench.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     text = measure.page(found, shlex.join(["ember", *sys.argv[1:]]))
@@ -434,14 +433,14 @@ def bench(
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     default="out/experiments",
     show_default=True,
     help="Folder for REPRODUCTION.md, and for results/NAME.md, .json, .csv and .png.",
 )
 @click.option(
     "--trials",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     default="out/trials",
     show_default=True,
     help="Folder of all single runs; what is there is not run again.",

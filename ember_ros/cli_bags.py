@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Grid
 
 from ember_ros.bag import look
@@ -28,7 +27,7 @@ from ember_ros.params import SPECS, replace
 from ember_ros.params_file import changed, config_names, dump_params, load_params, read_settings
 from ember_ros.run import TABLE, no_ros
 from ember_ros.spinning import prepare_environment, stop_signals
-from ember_ros.terminal import Terminal
+from ember_ros.terminal import console, progress
 from leg_node.table_file import load_table, save_table
 
 DIFFERENT = 1
@@ -37,8 +36,6 @@ INTERRUPTED = 130
 """Exit code of an end by Ctrl-C, as the shell has it."""
 LOOK_S = 1.0
 """Wall time that a player looks whether somebody else is on the topics."""
-
-console = Terminal(highlight=False, markup=False)
 
 PARAMS = click.option(
     "--params",
@@ -69,6 +66,19 @@ SET = click.option(
 """Beside every ``PARAMS``."""
 
 
+class _Folder(click.Path):
+    """A folder; no name is none: it would be this folder here."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return its path."""
+        if value == "":
+            self.fail("'' names no folder; `.` is the one you are in", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FOLDER = _Folder(path_type=Path, file_okay=False)
+
+
 class _Namespace(click.ParamType):  # type: ignore[type-arg, unused-ignore]
     """The name of a robot: words as ROS has them, with slashes between them."""
 
@@ -90,29 +100,6 @@ NAMESPACE = click.option(
 )
 _BAG = click.argument("bag", type=click.Path(path_type=Path))
 _NAMESPACE = click.option("--namespace", help="Of the robot, where the bag holds more than one.")
-
-
-@contextlib.contextmanager
-def _bar(label: str, total: float) -> Iterator[Callable[[float, str], None]]:
-    """Show a bar from the first update on."""
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[told]}"),
-        TimeRemainingColumn(),
-        console=console,
-    )
-    task = bar.add_task(label, total=total, told="")
-
-    def update(done: float, told: str) -> None:
-        bar.start()  # only now: a mistake that is found before is said in one line
-        bar.update(task, completed=done, told=told)
-
-    try:
-        yield update
-    finally:
-        if bar.live.is_started:
-            bar.stop()
 
 
 def _grid(lines: list[tuple[str, Any]]) -> Grid:
@@ -171,7 +158,7 @@ def replay_command(
     with stop_signals() as stop, _robot(bag, namespace, way) as opened:
         from ember_ros import topics
 
-        with _bar(f"replaying ({way})", opened.messages(topics.PHASE)) as update:
+        with progress(f"replaying ({way})", opened.messages(topics.PHASE)) as update:
 
             def go_on(ticks: int) -> bool:
                 if ticks % 32 == 0:
@@ -272,7 +259,7 @@ def play(
                     "another ROS_DOMAIN_ID"
                 )
             node.paused = paused
-            with _bar("playing", node.messages) as update, _space() as pressed:
+            with progress("playing", node.messages) as update, _space() as pressed:
                 while not stop.asked and not node.done:
                     executor.spin_once(timeout_sec=LONGEST_S)
                     if pressed():
@@ -366,7 +353,7 @@ class _Numbers(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 @_NAMESPACE
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     default="out/relearn",
     show_default=True,
     help="Folder for table.npz, params.yaml and relearn.json.",
@@ -419,7 +406,7 @@ def relearn_command(
     changes = {name: value for name, value in changes.items() if value is not None}
     start = load_table(table, replace(base, changes))[0] if table else None
     total = passes * sum(_ticks(bag, namespace, base) for bag in bags)
-    with stop_signals() as stop, _bar("learning", total) as update:
+    with stop_signals() as stop, progress("learning", total) as update:
 
         def go_on(ticks: int, falls: int) -> bool:
             if ticks % 64 == 0:
@@ -596,7 +583,7 @@ def _cycles(rows: list[Any], *, whole: bool) -> Grid:
 @_NAMESPACE
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     default="out/csv",
     show_default=True,
     help="Folder for ticks.csv and cycles.csv.",

@@ -241,7 +241,12 @@ class Processes:
         self._seat = run_seat(domain(), namespace)
         self.out = out
         self._logs = out / "log"
-        self._logs.mkdir(parents=True, exist_ok=True)
+        try:
+            self._logs.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise GraphError(
+                f"cannot make the folder {self._logs} for what the nodes say: {error.strerror}"
+            ) from error
         params = out / "params.yaml"
         params.write_text(dump_params(plan.params), encoding="utf-8")
         nodes = node_options(plan, out, patience, bag)

@@ -128,6 +128,8 @@ def _replacing(out: Path, names: Sequence[str]) -> Iterator[None]:
     """
     aside = out / EARLIER
     try:
+        if aside.exists():  # the last one was killed
+            _settle(out, names)
         aside.mkdir(exist_ok=True)
         for name in names:
             if (out / name).exists():
@@ -137,15 +139,21 @@ def _replacing(out: Path, names: Sequence[str]) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        begun = (out / CYCLES).exists() and (out / CYCLES).read_bytes().count(b"\n") > 1
-        if not begun:
-            for name in names:
-                (out / name).unlink(missing_ok=True)
-            for file in aside.iterdir():
-                file.replace(out / file.name)
+        _settle(out, names)
         raise
     finally:
         shutil.rmtree(aside, ignore_errors=True)
+
+
+def _settle(out: Path, names: Sequence[str]) -> None:
+    """Bring the files that were set aside back, if the run after them did not begin."""
+    begun = (out / CYCLES).exists() and (out / CYCLES).read_bytes().count(b"\n") > 1
+    if not begun:
+        for name in names:
+            (out / name).unlink(missing_ok=True)
+        for file in (out / EARLIER).iterdir():
+            file.replace(out / file.name)
+    shutil.rmtree(out / EARLIER, ignore_errors=True)
 
 
 def _run(

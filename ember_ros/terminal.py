@@ -1,15 +1,24 @@
-"""The terminal that ``ember`` speaks to, and what is done when it is gone."""
+"""The terminal that ``ember`` speaks to, what is done when it is gone, and how far a run is."""
 
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterator
+import sys
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import IO, Any
 
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ember_ros.spinning import let_go_of_terminal
+
+SAY_S = 10.0
+"""Wall seconds between two lines that say how far a run is, where there is no terminal."""
+
+Update = Callable[[float, str], None]
+"""Told how much is done, and that in words."""
 
 
 class _Forgetful:
@@ -51,3 +60,72 @@ class Terminal(Console):
     @file.setter
     def file(self, new: IO[str]) -> None:
         self._file = new
+
+
+console = Terminal(highlight=False, markup=False)
+"""What a command found out goes here: to standard output."""
+aside = Terminal(stderr=True, highlight=False, markup=False)
+"""How far it is goes here: to standard error, so that output can be piped on."""
+
+
+def say_all_paths() -> None:
+    """Have what an encoding has no letters for spelt out: a path may be anything."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+@contextmanager
+def progress(label: str, total: float) -> Iterator[Update]:
+    """Show how far a run is: a bar on a terminal; elsewhere a line every ``SAY_S``.
+
+    Nothing is shown before the first update: a mistake that is found before is said in one line.
+
+    Args:
+        label: what is done.
+        total: how much there is to do.
+    """
+    if not aside.is_terminal:
+        yield _lines(label)
+        return
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[told]}"),
+        TimeRemainingColumn(),
+        console=aside,
+    )
+    task = bar.add_task(label, total=total, told="")
+
+    def update(done: float, told: str) -> None:
+        bar.start()
+        bar.update(task, completed=done, told=told)
+
+    try:
+        yield update
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
+@contextmanager
+def doing(label: str) -> Iterator[Callable[[str], None]]:
+    """Show what is done now, where nobody knows how much there is to do."""
+    if aside.is_terminal:
+        with aside.status("") as status:
+            yield status.update
+    else:
+        update = _lines(label)
+        yield lambda what: update(0.0, what)
+
+
+def _lines(label: str) -> Update:
+    said = time.monotonic()
+
+    def update(done: float, told: str) -> None:
+        nonlocal said
+        if time.monotonic() - said >= SAY_S:
+            aside.print(f"{label}: {told}")
+            said = time.monotonic()
+
+    return update

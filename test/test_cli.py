@@ -17,17 +17,19 @@ import numpy as np
 import pytest
 import yaml
 
+from ember_ros import terminal
 from ember_ros.cli import main
 from ember_ros.params import Params
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.report.recorder import Row, load_record
-from ember_ros.run import SUMMARY, TABLE
+from ember_ros.run import EARLIER, SUMMARY, TABLE
 from ember_ros.seat import run_seat
 from leg_node.table_file import load_table
 
 pytest.importorskip("pybullet", reason="every command here builds a world")
 
 Run = Callable[..., str]
+ROOT = Path(__file__).parents[1]
 
 SUMMARY_KEYS = {
     "command", "seed", "cycles", "falls", "first_fall", "distance_per_cycle_m", "roll_sd_rad",
@@ -132,6 +134,92 @@ def test_an_earlier_run_is_not_replaced_unasked(run: Run) -> None:
     assert Path("out/train", TABLE).read_bytes() == before
     run("train", "--cycles", 2, "--force")
     assert Path("out/train", TABLE).read_bytes() != before
+
+
+def test_an_earlier_run_that_a_killed_one_set_aside_is_not_replaced_unasked(run: Run) -> None:
+    """Neither where it lies nor where it was."""
+    run("train", "--cycles", 1)
+    aside = Path("out/train", EARLIER)
+    aside.mkdir()
+    for name in (SUMMARY, TABLE):
+        Path("out/train", name).replace(aside / name)
+    assert "earlier run" in run("train", "--cycles", 2, code=2)
+    assert (aside / TABLE).exists()
+
+
+@pytest.mark.parametrize("verb", ["train", "walk", "demo", "bench", "experiment"])
+def test_no_name_is_no_folder(run: Run, verb: str) -> None:
+    """``--out "$UNSET"`` would fill the folder one is in."""
+    words = [verb, "fig5"] if verb == "experiment" else [verb]
+    assert "'' names no folder" in run(*words, "--out", "", code=2)
+    assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["log", "params.yaml", "cycles.csv"])
+def test_a_file_where_a_folder_is_needed_is_said_in_one_line(run: Run, name: str) -> None:
+    """And the other way round."""
+    out = Path("out")
+    out.mkdir()
+    if name == "log":
+        (out / name).write_text("mine")
+    else:
+        (out / name).mkdir()
+    way = "loop" if name == "cycles.csv" else "processes"
+    code = 0 if name == "cycles.csv" else 2  # set aside with the earlier run
+    said = run("walk", "--cycles", 1, "--on", way, "--out", out, code=code)
+    if code:
+        (line,) = [line for line in said.splitlines() if line.strip()]
+        assert line.startswith("error: ")
+        assert str(out / name) in line
+
+
+def test_progress_is_a_line_now_and_then_without_a_terminal(
+    run: Run, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """On standard error, so that output can be piped on; and no line too often."""
+    monkeypatch.setattr(terminal, "SAY_S", 0.0)
+    capfd.readouterr()
+    assert ember("train", "--cycles", 3) == 0
+    output, aside = capfd.readouterr()
+    lines = [f"training (loop): {n}/3 cycles, 0 falls" for n in (0, 1, 2, 3)]
+    assert aside.splitlines() == lines
+    assert "training (loop)" not in output
+    monkeypatch.setattr(terminal, "SAY_S", 1000.0)
+    assert ember("train", "--cycles", 3, "--force") == 0
+    assert capfd.readouterr().err == ""
+
+
+def test_a_path_that_standard_output_has_no_letters_for_is_spelt_out(tmp_path: Path) -> None:
+    """A run that is whole does not end with a traceback for its name."""
+    out = tmp_path / "\u00fcber \udce9"  # not even UTF-8
+    done = subprocess.run(
+        [sys.executable, "-m", "ember_ros", "train", "--cycles", "1", "--out", out],
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONPATH": str(ROOT)},
+        check=False,
+        timeout=60.0,
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"\\xfcber \\udce9" in done.stdout
+    assert (out / TABLE).exists()
+
+
+def test_who_hears_only_the_first_line_ends_nothing(tmp_path: Path) -> None:
+    """``ember params | head -1``: no traceback."""
+    for words in (("params", "--describe"), ("train", "--cycles", "1", "--out", tmp_path / "run")):
+        command = subprocess.Popen(
+            [sys.executable, "-m", "ember_ros", *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
+        assert command.stdout is not None
+        command.stdout.close()
+        assert command.stderr is not None
+        with command.stderr as errors:
+            assert b"Traceback" not in errors.read()
+        command.wait(60.0)
+    assert (tmp_path / "run" / SUMMARY).exists()
 
 
 def _truncated(file: Path, whole: bytes) -> None:

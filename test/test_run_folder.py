@@ -78,6 +78,30 @@ def test_a_run_that_cannot_begin_brings_the_earlier_one_back(
     assert files(tmp_path) == before
 
 
+def test_what_a_killed_run_had_set_aside_is_not_lost(tmp_path: Path) -> None:
+    """Killed before its first cycle ended: the next that cannot begin brings the earlier back."""
+    go(tmp_path)
+    before = files(tmp_path)
+    aside = tmp_path / EARLIER
+    aside.mkdir()
+    for name in before:
+        (tmp_path / name).replace(aside / name)
+    (tmp_path / "cycles.csv").write_text("cycle,module\n")
+    with pytest.raises(ParameterError, match="no policy"):
+        go(tmp_path, Plan("trainer", 1, policy="none"))
+    assert files(tmp_path) == before
+
+
+def test_what_a_killed_run_had_set_aside_goes_once_it_had_begun(tmp_path: Path) -> None:
+    """Its own first cycle is more than what it replaced."""
+    go(tmp_path)
+    (tmp_path / EARLIER).mkdir()
+    (tmp_path / EARLIER / SUMMARY).write_text("older")
+    go(tmp_path, Plan("trainer", 2, seed=2))
+    assert "older" not in (tmp_path / SUMMARY).read_text()
+    assert not (tmp_path / EARLIER).exists()
+
+
 def test_a_run_replaces_the_earlier_one(tmp_path: Path) -> None:
     """Nothing of it is left over."""
     go(tmp_path)
