@@ -45,7 +45,7 @@ demo: $(STAMP) ## train a leg, let four of them walk, write what came of it to o
 	$(VENV)/bin/ember demo --out out/demo --force
 
 test: $(STAMP) ## run the tests
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -n auto --dist worksteal
 
 lint: $(STAMP) ## ruff and mypy
 	$(VENV)/bin/ruff check

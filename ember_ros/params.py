@@ -106,7 +106,7 @@ class Trainer:
     tip_mass: float = num(2.5, "kg", "what the leg carries, at the bar's tip", 0.001, 1000.0)
     axle_friction: float = num(0.6, "N m", "dry friction of the axle", 0.0, 1000.0)
     axle_damping: float = num(2.5, "N m s/rad", "viscous friction of the axle", 0.0, 1000.0)
-    stop_height: float = num(0.42, "m", "the stop holds the attachment at or over this", 0.0, 10.0)
+    stop_height: float = num(0.43, "m", "the stop holds the attachment at or over this", 0.0, 10.0)
     modulation: float = num(0.0, "m", "standard deviation of the stop's height; 0: fixed", 0.0, 1.0)
     stop_low: float = num(0.37, "m", "least height of a modulated stop", 0.0, 10.0)
     stop_high: float = num(0.50, "m", "largest height of a modulated stop", 0.0, 10.0)
@@ -181,13 +181,13 @@ class Learning:
     is.
     """
 
-    gamma: float = num(0.9, "1", "discount a tick", 0.0, 1.0)
+    gamma: float = num(0.8, "1", "discount a tick", 0.0, 1.0)
     alpha_floor: float = num(
         0.02, "1", "learning rate is 1/visits, but not less than this", 0.0, 1.0
     )
     alpha_ceiling: float = num(1.0, "1", "nor more than this; the floor: a constant", 0.0, 1.0)
     epsilon_start: float = num(1.0, "1", "share of random actions at first", 0.0, 1.0)
-    epsilon_end: float = num(0.01, "1", "share of random actions in the end", 0.0, 1.0)
+    epsilon_end: float = num(0.002, "1", "share of random actions in the end", 0.0, 1.0)
     epsilon_cycles: int = num(3000, "cycle", "from the first to the last", 1, 10**9)
     smooth: float = num(0.3, "1", "say of a neighbour one bin away; 0: none, the paper's", 0.0, 0.9)
     smooth_every: int = num(4, "cycle", "between two smoothed readings of the table", 1, 10**6)

@@ -52,28 +52,28 @@ print(json.dumps(told))
 
 GOLDEN: dict[str, dict[str, str]] = {
     "plain, trainer": {
-        "senses": "5136a704393bd30f3009ba38c3620eee58a5e7f8992269809f858a05ae0a8c78",
-        "commands": "0d19f6e9069f851fa01681ba085db8bddb21039a26a910654e84c8a2d4ed7af6",
-        "transitions": "1378c390f9e38f833cc71e9766d9bd7ca5bd9f08ef373390a001c1ec0564cd56",
-        "table": "a95abc003c2751e017c36979627ee769057c44cb30d8d22ef6cb6912a1e4ca6d",
+        "senses": "f8e9abb12683f3ab0bcb5ee8afb36b5a32cf9438e75bd36a9a89524f5fd378eb",
+        "commands": "83e517601e4d2e5288cf9a4c57f3e4c446e514a3c0a58c6ba9ce53a4f45ac8ac",
+        "transitions": "e6f11fcda6b0bf891b49b7f4d28112e13467eacda78e25d49a0817aadfd03c63",
+        "table": "b39cfc78bf78426154e4e682fac5c22a124c0500bb6fecbd098627b91cfac7e7",
     },
     "plain, walker": {
-        "senses": "693a156a647817432873906245720219b8dde814b9dcadcba96045101338ee81",
-        "commands": "521450f60678fb58c7d0b52c4c08f52d7ea2473e6715068dd590635d972f5309",
-        "transitions": "afe13c3b46b8a354d2d64abc05e9efa14e72951a1a6a3d1a39825ab97cbe319d",
-        "table": "e4ebeb359ec9320a987112270db1ff802e03c0a82376ed4770ac92399a1d9d56",
+        "senses": "d9f4d3d1b610ada0320a3ac4b0f0dd35583fd2e35f7c06e9d88ac2fa23dfad5b",
+        "commands": "ccf803bba15b9a278c885a56696d21b507625a8bfe0aec196b914190c1f116c8",
+        "transitions": "d6ec555ac2738c8d17752eb9e8b4a0ed0a43ca90143b977f1265f23c8e081833",
+        "table": "796106008a21fe59e4cbe87c6747d1115dc7c9be491066c227639d65ceed9b4f",
     },
     "ember, trainer": {
-        "senses": "333e3c1507c9758ace390cb592e2b7efbce4b3df35924be991d72483c9fa646d",
-        "commands": "308786bdd43636032e71824862836e3ca7034aa34858be4707e6a34792b53f4d",
-        "transitions": "580c4b00a621a7121e7465e897bc4792e3ae383e3abcf05f5c89c538bbe786b4",
-        "table": "61daa5f22c34d1bd4af5bdde6ac447421d1b79fc31a014369f7bfd4979ee8cd9",
+        "senses": "32068e6c18756b00c0308ffc40f5e27d8da621125d91d40beaf47de9b8de84e9",
+        "commands": "2de3075bc1eef968a7a0f0012df34eb8e4d8f65d949953e3b39920b2b1fabaab",
+        "transitions": "4dc0c81a97d8b1925bab6104540ff9ca299d610b0c6c86382a82a795e0729006",
+        "table": "a57110bf8372f34fc11781b399bc57c7744e8f02a5f013eac167b9590f9bf210",
     },
     "ember, walker": {
-        "senses": "30ac57237c0648b7463c60d073d492b22de070c30c93ad284c27fea68edfeeea",
-        "commands": "ecf506ae6fdb07b1c12211ebe3e26355e3b0b12f38bc018853e5d040c64e124a",
-        "transitions": "b53d847d80f61b411bf773acffea9631094722ae16c8377e63765e51ca01760e",
-        "table": "5bdd6c6d2de55aaa3c75fa2cbcd7e6995b90330d261b40a801aef9b9f01e156b",
+        "senses": "da4668a48bfeadba7c885b5305b0af8cbb51fb4a3741a2dbabde845fd4704e73",
+        "commands": "638ab2a830dac62c43d5940f1e3342fffc5bf8e80f245dd1fba2942448d6a8c2",
+        "transitions": "af058d674ca17683cda7f5b1987b051e2487916b296042940c1b26187761d7e0",
+        "table": "580703620873142eb657f38ddb24cb6972a9f9e22c81f3317db496ce2cd5738a",
     },
 }
 

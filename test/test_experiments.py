@@ -136,9 +136,10 @@ def test_the_code_that_decides_is_all_that_runs(tmp_path: Path) -> None:
     run = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
     house = {name for name in run.stdout.split() if name.split(".")[0] in ("ember_ros", *ROOMS)}
     idle = {"leg_node", "sim_node", "cpg_node", "ember_ros.experiments", "ember_ros.report"}
-    # What is said of a trial, two protocols, and a file's format: a table is held by its SHA-256.
+    # What is said of a trial, errors, two protocols, and a file's format: a table is held by its
+    # SHA-256.
     idle |= {"ember_ros.versions", "sim_node.world", "ember_ros.observer"}
-    idle |= {"leg_node.table_file", "ember_ros.given"}
+    idle |= {"leg_node.table_file", "ember_ros.given", "ember_ros.errors"}
     assert house - idle == set(DECIDES)
 
 

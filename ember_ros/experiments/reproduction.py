@@ -144,7 +144,7 @@ def _summary(found: dict[str, Found]) -> list[str]:
             learner: words.falls_per_1000(
                 words.runs_of(found["frontier"], body=body, walker="trained table", learner=learner)
             )
-            for learner in ("plain", frontier.BEFORE, "ember", frontier.TWICE, frontier.NEARER)
+            for learner in ("plain", frontier.BEFORE, "ember", frontier.TWICE)
         }
         told = ", ".join(f"{learner} {rate:.2f}" for learner, rate in rates.items())
         lines.append(

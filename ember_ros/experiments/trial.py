@@ -51,8 +51,8 @@ CENTRAL = "central"
 TABLE, MEASURES, CYCLES = "table.npz", "trial.json", "cycles.npz"
 COLUMNS = tuple(name for name in Row._fields if name not in ("cycle", "module"))
 DECIDES = (
-    *("ember_ros", "ember_ros.errors", "ember_ros.kinematics", "ember_ros.loop"),
-    *("ember_ros.params", "ember_ros.plan", "ember_ros.randomness", "ember_ros.signals"),
+    *("ember_ros", "ember_ros.kinematics", "ember_ros.loop", "ember_ros.params"),
+    *("ember_ros.plan", "ember_ros.randomness", "ember_ros.signals"),
     *("ember_ros.experiments.central", "ember_ros.experiments.trial", "ember_ros.report.recorder"),
     *("cpg_node.cpg", "leg_node.gait", "leg_node.module", "leg_node.policy", "leg_node.reading"),
     *("leg_node.reward", "leg_node.shared", "leg_node.state", "leg_node.table"),

@@ -25,6 +25,15 @@ SETTLED = 0.9
 EVEN, MOSTLY = 0.15, 0.8
 """Steps are even where their standard deviation is at most this share of their mean; asked of this
 share of the seeds."""
+BACK: dict[str, dict[str, Any]] = {
+    "stop at 0.42 m": {"trainer__stop_height": 0.42},
+    "1 % random in the end": {"train__epsilon_end": 0.01},
+    "gamma 0.9": {"train__gamma": 0.9},
+    "lead 0": {"reward__lead": 0},
+}
+"""What `ember`'s training had before it was made even, or has not in the paper, each alone."""
+BEFORE = "stop, randomness and gamma as before"
+BACK[BEFORE] = {k: v for name in list(BACK)[:3] for k, v in BACK[name].items()}
 QUANTITIES = {"distance_m": "distance a step, m", "peak_force_n": "peak force a step, N"}
 
 
@@ -44,7 +53,19 @@ def with_height(learner: str, height: str) -> Any:
 def arms(size: Size) -> list[Arm]:
     """Return all ways of training."""
     seeds = range(size.seeds)
-    return [height_arm(lr, height, seeds, size.train) for lr in LEARNERS for height in HEIGHTS]
+    ways = [height_arm(lr, height, seeds, size.train) for lr in LEARNERS for height in HEIGHTS]
+    return ways + [
+        Arm(
+            {"learner": back(name), "height": "fixed"},
+            [Trial("trainer", size.train, seed, numbers("ember", **other)) for seed in seeds],
+        )
+        for name, other in BACK.items()
+    ]
+
+
+def back(name: str) -> str:
+    """Return the learner of an arm in which one number is what it was."""
+    return f"ember, {name}"
 
 
 def about_stops() -> str:
@@ -109,6 +130,8 @@ def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
                 name: [round(one[name], 4) if np.isfinite(one[name]) else None for one in even]
                 for name in even[0]
             }
+        early = [float(outcome.footfall[-1]) for outcome in outcomes]
+        found["/".join((*arm.labels.values(), "down_early"))] = [round(each, 4) for each in early]
     return found
 
 
@@ -229,6 +252,45 @@ def text(found: Found) -> list[str]:
         "a matter of that.",
         "",
         about_stops(),
+        "",
+        *_causes(found),
+    ]
+
+
+def _causes(found: Found) -> list[str]:
+    """Say what makes steps even: `ember` with one number of its training taken back."""
+    lines = []
+    for learner in ("ember", *map(back, BACK)):
+        last = found["curves"][f"{learner}/fixed/even_last"]
+        runs = words.runs_of(found, learner=learner, height="fixed")
+        even = sum(share is not None and share <= EVEN for share in last["share"])
+        lines.append(
+            (
+                learner,
+                f"{even} of {len(runs)}",
+                _shares(last["share"]),
+                words.spread(words.column(runs, "distance_last_m")),
+                words.spread(
+                    [100.0 * x for x in found["curves"][f"{learner}/fixed/down_early"]], ".1f"
+                ),
+            )
+        )
+    most = f"at most {EVEN:.0%} of the mean"
+    return [
+        "What makes them even: `ember` as it is, and with one number of its training as it was "
+        "before, or as the paper has it. A foot that is down in the last tick of its swing, while "
+        "the hip still swings forward, brakes the bar, and the step is short:",
+        "",
+        *words.grid(
+            (
+                "learner, fixed stop",
+                f"even: SD {most}",
+                "SD by mean, last, seed by seed",
+                "distance a step at the end, m",
+                "foot down in the last tick of swing, % of all steps",
+            ),
+            lines,
+        ),
     ]
 
 

@@ -30,7 +30,6 @@ AIM = 1.0
 """Falls per 1000 steps that are aimed at."""
 BEFORE = "ember without lead and explore"
 TWICE = "ember, trained twice as long"
-NEARER = "ember, gamma of plain"
 WIDTHS = (0.22, 0.14, 0.12, 0.10, 0.08)
 """Half widths of the hips in a body of the reference's length, m."""
 KINDS = (
@@ -65,7 +64,6 @@ def arms(size: Size) -> list[Arm]:
             trained_arm(body, "ember", size, name=BEFORE, **before),
             trained_arm(body, "ember", size),
             trained_arm(body, "ember", twice, name=TWICE, **longer),
-            trained_arm(body, "ember", size, name=NEARER, **changes("plain", ("gamma",))),
         ]
         found += company(body, size)
     some = range(size.few)
@@ -114,9 +112,9 @@ def claims(found: Found) -> list[Claim]:
     """Say what was won at the frontier."""
     lines = []
     for body in BODIES:
-        plain, before, after, twice, nearer = (
+        plain, before, after, twice = (
             words.runs_of(found, body=body, walker="trained table", learner=learner)
-            for learner in ("plain", BEFORE, "ember", TWICE, NEARER)
+            for learner in ("plain", BEFORE, "ember", TWICE)
         )
         for than, runs in (("without lead and explore", before), ("plain", plain)):
             fewer = words.more(runs, after, words.FALL_RATE)
@@ -128,7 +126,7 @@ def claims(found: Found) -> list[Claim]:
                     stats.verdict(fewer, claimed=1),
                 )
             )
-        for name, runs in (("ember", after), (TWICE, twice), (NEARER, nearer)):
+        for name, runs in (("ember", after), (TWICE, twice)):
             rate = words.falls_per_1000(runs)
             lines.append(
                 Claim(

@@ -16,7 +16,6 @@ PARTS: dict[str, tuple[str, ...]] = {
     "counts": ("alpha_floor", "alpha_ceiling"),
     "prior": ("prior",),
     "smooth": ("smooth",),
-    "gamma": ("gamma",),
     "explore": ("epsilon_start", "epsilon_end"),
     "lead": ("reward.lead",),
 }
@@ -25,7 +24,6 @@ MEANING = {
     "counts": "rates of 1/visits down to a floor, from true visit counts",
     "prior": "an untried action is a little worse than its state, not 0",
     "smooth": "neighbouring states and actions have a say",
-    "gamma": "a leg looks further ahead",
     "explore": "on the trainer random actions at first, on the body none",
     "lead": "the last ticks of swing are rewarded as stance is",
 }
