@@ -32,12 +32,12 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "ember = ember_ros.__main__:main",
-            "sim_node = sim_node.node:main",
-            "leg_node = leg_node.node:main",
-            "cpg_node = cpg_node.node:main",
-            "table_node = leg_node.table_node:main",
-            "recorder_node = ember_ros.bag.recorder_node:main",
+            "ember = ember_ros.entry_points:ember",
+            "sim_node = ember_ros.entry_points:sim_node",
+            "leg_node = ember_ros.entry_points:leg_node",
+            "cpg_node = ember_ros.entry_points:cpg_node",
+            "table_node = ember_ros.entry_points:table_node",
+            "recorder_node = ember_ros.entry_points:recorder_node",
         ]
     },
 )

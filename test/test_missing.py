@@ -76,6 +76,17 @@ def test_ember_names_the_library_it_lacks(library: str, pip: str, apt: str) -> N
     )
 
 
+@pytest.mark.parametrize("node", ["sim", "leg", "cpg", "table", "recorder"])
+def test_a_node_says_that_ros_is_not_here(node: str) -> None:
+    """Who installed without the extra ``ros`` reads one line, no traceback."""
+    done = without(
+        "rclpy", WALL + f"from ember_ros.entry_points import {node}_node as main; main()"
+    )
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: ROS 2 is not here (No module named 'rclpy'): `pip install ")
+
+
 @pytest.mark.parametrize(
     ("library", "args"),
     [
