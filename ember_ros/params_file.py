@@ -17,7 +17,7 @@ import yaml
 
 from ember_ros.errors import ParameterError, shown
 from ember_ros.given import read_text
-from ember_ros.options import is_ros_own
+from ember_ros.options import OPTION_NAMES, is_ros_own
 from ember_ros.params import Params, Spec, as_dict, check, replace
 
 SECTION = "/**"
@@ -126,6 +126,11 @@ def _load(file: Path, base: Params, before: set[str]) -> Params:
                 "later of two when it has a dot; a group and a name in it would be right"
             )
         before |= set(changes)
+        if options := sorted(OPTION_NAMES & set(changes)):
+            raise ParameterError(
+                f"{options[0]} is an option of nodes, not a number of the robot: `ember` takes it "
+                f"as an option of its own (`--help`), a node with `-p {options[0]}:=VALUE`"
+            )
         return replace(base, changes)
     except ParameterError as error:
         raise ParameterError(f"{file}: {error}") from error

@@ -68,3 +68,12 @@ def test_a_name_of_nothing_is_told_with_those_there_are() -> None:
     """A slip of the pen is answered with the names."""
     with pytest.raises(ParameterError, match=r"narow.*easy, modulated, narrow, plain"):
         load_params("narow")
+
+
+@pytest.mark.parametrize("option", ["seed", "world", "leg_name", "cycles"])
+def test_an_option_of_nodes_is_told_from_a_number_of_the_robot(tmp_path: Path, option: str) -> None:
+    """A node takes it from the same section; ``ember`` has an option of its own for it."""
+    file = tmp_path / "p.yaml"
+    file.write_text(f"/**: {{ros__parameters: {{{option}: 3}}}}")
+    with pytest.raises(ParameterError, match=rf"{option} is an option of nodes.*-p {option}:="):
+        load_params(file)
