@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ember_ros.experiments.lab import each_seed, run_all
-from ember_ros.experiments.study import Size, numbers, trained
+from ember_ros.experiments.study import Size, age, numbers, trained
 from ember_ros.experiments.trial import TABLE, code_sha256
 from ember_ros.experiments.words import Found, grid
 from ember_ros.loop import Loop
@@ -252,6 +252,7 @@ def page(found: Found) -> str:
     lines = [
         "# The same in every direction",
         "",
+        *age(found, "isotropy"),
         f"Made by `{about['command']}`; every number below is written by it (`isotropy.json` holds "
         f"them all). Versions: {known}.",
         "",

@@ -16,7 +16,7 @@ from typing import Any
 from ember_ros.bag.relearn import relearn
 from ember_ros.bag.storage import BagOptions
 from ember_ros.experiments.lab import each_seed
-from ember_ros.experiments.study import OTHER_SEED, numbers
+from ember_ros.experiments.study import OTHER_SEED, age, numbers
 from ember_ros.experiments.trial import LOW_M, TILT_RAD, code_sha256
 from ember_ros.experiments.words import Found
 from ember_ros.params import replace
@@ -113,6 +113,7 @@ def page(result: Found) -> str:
     lines = [
         "# Learnt again from bags",
         "",
+        *age(result, "relearn"),
         f"Made by `{about['command']}`; every number below is written by it "
         f"(`relearn.json` holds them all). Versions: {known}.",
         "",

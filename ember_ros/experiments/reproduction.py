@@ -19,14 +19,21 @@ from ember_ros.experiments.studies import (
     sharing,
     walker,
 )
-from ember_ros.experiments.study import BODIES, OTHER_SEED, Study, cpu_seconds, numbers, section
+from ember_ros.experiments.study import (
+    BODIES,
+    OLDER,
+    OTHER_SEED,
+    Study,
+    belongs,
+    cpu_seconds,
+    numbers,
+    section,
+)
 from ember_ros.experiments.words import Found
 
 ALL = "all"
 DOCUMENT = "REPRODUCTION.md"
 RESULTS = "results"
-OLDER = "> **Older than this version.**"
-"""How a document begins whose results were made by code that decided otherwise."""
 STUDIES: dict[str, Study] = {
     module.STUDY.name: module.STUDY
     for module in (
@@ -71,9 +78,12 @@ def document(folder: Path) -> str:
         for name in BODIES
     ]
     hours = sum(cpu_seconds(found.values()).values()) / 2 / 3600
+    old = [name for name, study in STUDIES.items() if belongs(study, found[name]) is not None]
+    again = f"{OLDER} The results of {', '.join(old)} were made by code that decided otherwise."
     lines = [
         "# Reproduction",
         "",
+        *([again, ""] if old else []),
         'Jacob, Polani and Nehaniv, "Legs that can walk" (2005), show single runs. Here each of '
         "their experiments is run over many seeds, with what the paper says beside what came out. "
         "Every number below is written by one command from the result files beside this page; a "

@@ -195,6 +195,21 @@ def _run(trial: Trial, found: Outcome, folder: Path) -> Run:
     return line
 
 
+OLDER = "> **Older than this version.**"
+"""How a page begins whose results were made by code that decided otherwise."""
+
+
+def age(found: Found, name: str) -> list[str]:
+    """Return what a page says first where its results are not of the code that decides now."""
+    if found["about"].get("code_sha256") == code_sha256():
+        return []
+    return [
+        f"{OLDER} The code that decides is not the one that made these results; "
+        f"`ember experiment {name}` makes them again.",
+        "",
+    ]
+
+
 def belongs(study: Study, found: Found) -> str | None:
     """Return why a result is not what this code would come to; None where it is."""
     about = found["about"]
@@ -232,8 +247,12 @@ def write(study: Study, found: Found, folder: Path) -> None:
                 ]
                 table.writerow(known)
     study.draw(found, file.with_suffix(".png"))
-    page = "\n".join(section(study, found, "#")) + "\n"
-    file.with_suffix(".md").write_text(page, encoding="utf-8")
+    file.with_suffix(".md").write_text(page_of(study, found), encoding="utf-8")
+
+
+def page_of(study: Study, found: Found) -> str:
+    """Return an experiment's page of its own."""
+    return "\n".join(section(study, found, "#")) + "\n"
 
 
 def cpu_seconds(found: Iterable[Found]) -> dict[str, float]:
@@ -264,7 +283,7 @@ def section(study: Study, found: Found, heading: str, figures: str = "") -> list
     spent = cpu_seconds([found])
     claims = study.claims(found)
     why = belongs(study, found)
-    stale = f"**Older than this version:** {why}; `ember experiment {study.name}` runs it again."
+    stale = f"{OLDER} Of this section: {why}; `ember experiment {study.name}` makes it again."
     verdicts = [
         *grid(
             ("claim", "where", "seed by seed, mean [95 %]", "verdict"),
