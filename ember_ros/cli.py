@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ import ember_ros
 from ember_ros.bag.storage import BagOptions
 from ember_ros.cli_bags import COMMANDS, FOLDER, INTERRUPTED, NAMESPACE, PARAMS, SET
 from ember_ros.errors import EmberError, ParameterError, need
-from ember_ros.experiments import lab, relearn
+from ember_ros.experiments import isotropy, lab, relearn
 from ember_ros.experiments.reproduction import ALL, DOCUMENT, RESULTS, STUDIES, document, read
 from ember_ros.experiments.study import Size, Study, belongs, collect, write
 from ember_ros.experiments.words import Found
@@ -26,14 +25,22 @@ from ember_ros.params import SPECS, Params
 from ember_ros.params_file import changed, dump_params, load_params, range_of
 from ember_ros.plan import Plan
 from ember_ros.resume import beginning, resumed
-from ember_ros.run import EARLIER, PICTURE, SUMMARY, TABLE, WAYS, GoOn, run
+from ember_ros.run import (
+    PICTURE,
+    SUMMARY,
+    TABLE,
+    WAYS,
+    GoOn,
+    need_ros,
+    recover,
+    refuse_to_replace,
+    run,
+)
 from ember_ros.spinning import Stop, prepare_environment, stop_signals
-from ember_ros.terminal import console, doing, progress, say_all_paths
+from ember_ros.terminal import console, doing, progress, say_all_paths, typed
 
 RELEARN, ISOTROPY = "relearn", "isotropy"
 """The experiments that are not made of trials."""
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
-"""What a disk says that takes nothing more; not always with the name of a file."""
 
 
 class _Group(click.Group):
@@ -45,11 +52,12 @@ class _Group(click.Group):
             return super().invoke(ctx)
         except EmberError as error:
             click.echo(f"error: {error}", err=True)
-            ctx.exit(2)
-        except OSError as error:
-            if error.filename is None and error.errno not in FULL:
-                raise  # a broken pipe is click's own, and what says nothing has a traceback
-            click.echo(f"error: {error.strerror}: {error.filename or 'while writing'}", err=True)
+            ctx.exit(error.code)
+        except OSError as error:  # a full disk, a folder where a file should be
+            if error.errno == errno.EPIPE:
+                raise  # click's own
+            where = f": {error.filename}" if error.filename else ""
+            click.echo(f"error: {error.strerror or error}{where}", err=True)
             ctx.exit(2)
 
 
@@ -68,18 +76,6 @@ def main() -> None:
 FORCE = click.option(
     "--force", is_flag=True, help="Replace an earlier run in --out, once the new one has begun."
 )
-
-
-def _refuse_to_replace(*folders: Path) -> None:
-    """Raise a ParameterError if one of the folders holds a run."""
-    for out in folders:
-        places = (out, out / EARLIER)  # where a run was killed before it had begun
-        kept = [name for name in (SUMMARY, TABLE) if any((p / name).exists() for p in places)]
-        if kept:
-            raise ParameterError(
-                f"{out} holds an earlier run ({', '.join(kept)}); give another --out, or --force "
-                "to replace it"
-            )
 
 
 def _options(*, cycles: int, out: str, way: str) -> Callable[[Any], Any]:
@@ -216,6 +212,7 @@ def _run(
         if table is not None:
             raise ParameterError("--resume brings its own table: leave --table out")
         table = resume / TABLE
+        recover(resume)
         start_cycle, was = resumed(resume, world)
         params = params if params_files else changed(was, settings)
     plan = Plan(
@@ -231,12 +228,12 @@ def _run(
     if bag is None and (split_mb or split_s):
         raise ParameterError("--split-mb and --split-s are of a bag: give --bag too")
     if not force:
-        _refuse_to_replace(out)
+        refuse_to_replace(out)
     for line in beginning(plan):
         console.print(line)
     with stop_signals() as stop:
         into = BagOptions(bag, split_mb, split_s) if bag else None
-        record, summary = _show(plan, way, out, stop, into, namespace)
+        record, summary = _show(plan, way, out, stop, into, namespace, replace=force)
         what = "trained" if world == "trainer" else "walked"
         drawn = _draw(out / PICTURE, plan, **{what: record})
     console.print(_grid({what: summary}))
@@ -256,12 +253,16 @@ def _show(
     stop: Stop,
     bag: BagOptions | None = None,
     namespace: str = "",
+    *,
+    replace: bool,
 ) -> tuple[Any, dict[str, Any]]:
     """Run a plan behind a progress bar."""
     need("matplotlib", why="to draw what comes of it")
     label = "walking" if plan.world == "walker" else "training"
     with _progress(f"{label} ({way})", plan.cycles, stop) as go_on:
-        return run(plan, way, out, go_on, shlex.join(["ember", *sys.argv[1:]]), bag, namespace)
+        record, summary = run(plan, way, out, go_on, typed(), bag, namespace, replace)
+        go_on(summary["cycles"], summary["falls"])
+    return record, summary
 
 
 def _draw(file: Path, plan: Plan, **records: Any) -> bool:
@@ -280,15 +281,13 @@ def _progress(label: str, total: int, stop: Stop, unit: str = "cycles") -> Itera
     with progress(label, total) as update:
 
         def go_on(done: int, falls: int) -> bool:
-            told = f"{done}/{total} {unit}" + (f", {falls} falls" if unit == "cycles" else "")
-            update(done, told)
-            last[:] = [falls]
+            if unit == "cycles":
+                update(done, f"{done}/{total} cycles, {falls} falls")
+            else:
+                update(done, f"{done} %" if unit == "%" else f"{done}/{total} {unit}")
             return not stop.asked
 
-        last: list[int] = []
         yield go_on
-        if not stop.asked and last:
-            go_on(total, *last)
 
 
 def _number(value: float | None, form: str = ".3f") -> str:
@@ -351,18 +350,21 @@ def demo(
     live graph, and go on learning.
     """
     if not force:
-        _refuse_to_replace(out / "train", out / "walk")
-    prepare_environment()  # say it now, and not when the leg is trained
+        refuse_to_replace(out / "train")
+        refuse_to_replace(out / "walk")
+    need_ros()  # say it now, and not when the leg is trained
+    prepare_environment()
     params = load_params(*params_files, settings=settings)
     training = Plan("trainer", cycles, seed=seed, params=params)
     walking = Plan("walker", walk_cycles, seed=seed, params=params, table=out / "train" / TABLE)
     with stop_signals() as stop:
-        trained, first = _show(training, "loop", out / "train", stop)
-        for stale in (out / "demo.png", out / "walk" / SUMMARY, out / "walk" / TABLE):
-            stale.unlink(missing_ok=True)  # of an earlier demo with another table
+        trained, first = _show(training, "loop", out / "train", stop, replace=force)
+        (out / "demo.png").unlink(missing_ok=True)  # it shows another training
         summaries, records = {"one leg, trainer": first}, {"trained": trained}
         if not stop.asked:
-            walked, second = _show(walking, "graph", out / "walk", stop, namespace=namespace)
+            walked, second = _show(
+                walking, "graph", out / "walk", stop, namespace=namespace, replace=force
+            )
             summaries["four legs, body"], records["walked"] = second, walked
         drawn = _draw(out / "demo.png", training, **records)
     console.print(_grid(summaries))
@@ -403,7 +405,7 @@ def bench(
         found = measure.bench(params, say=say, **sizes)
     out.mkdir(parents=True, exist_ok=True)
     (out / "bench.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-    text = measure.page(found, shlex.join(["ember", *sys.argv[1:]]))
+    text = measure.page(found, typed())
     (out / "bench.md").write_text(text, encoding="utf-8")
     grid = Grid(show_header=False, box=None, padding=(0, 2, 0, 0))
     for name, figure in measure.lines(found):
@@ -461,7 +463,8 @@ def experiment(
 ) -> None:
     """Run an experiment over many seeds, two runs at once, and write what came of it.
 
-    Stopped by Ctrl-C, it goes on where it was when it is started again.
+    Stopped by Ctrl-C, it goes on where it was when it is started again; isotropy and relearn
+    begin their walks anew.
 
     \b
     fig5         one leg on the trainer, the stop fixed or modulated
@@ -478,7 +481,7 @@ def experiment(
     isotropy     whether the world is the same in every direction
     all          all of the paper's, and the document REPRODUCTION.md
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
-    command = shlex.join(["ember", *sys.argv[1:]])
+    command = typed()
     if name == RELEARN:
         if redraw:
             _write_page(name, read(name, out / RESULTS), relearn.page, out)
@@ -487,7 +490,8 @@ def experiment(
         return
     need("matplotlib", why="to draw what comes of it")
     if name == ISOTROPY:
-        need("pybullet", why="to build its worlds")
+        if seeds not in (None, 1):
+            raise click.UsageError("isotropy has one training: --seeds is not for it")
         if redraw:
             _write_isotropy(read(name, out / RESULTS), out)
         else:
@@ -515,7 +519,13 @@ def _redraw(studies: Sequence[Study], out: Path) -> None:
         why = belongs(study, each)
         if why is not None:
             console.print(f"{study.name}: not what this version would come to: {why}")
-    _write(studies, found, out)
+    try:
+        _write(studies, found, out)
+    except KeyError as error:
+        raise ParameterError(
+            f"what this version draws is not in these results: {error}; without --redraw they are "
+            "made again"
+        ) from error
 
 
 def _write(studies: Sequence[Study], found: Sequence[Found], out: Path) -> None:
@@ -542,8 +552,7 @@ def _relearn(
 
 
 def _isotropy(cycles: int, walk_cycles: int, out: Path, trials: Path, command: str) -> None:
-    from ember_ros.experiments import isotropy
-
+    need("pybullet", why="to build the worlds")
     with stop_signals() as stop, _progress(ISOTROPY, 100, stop, "%") as go_on:
         found = isotropy.isotropy_experiment(
             cycles, walk_cycles, trials, lambda done, of: go_on(100 * done // of, 0), command
@@ -555,8 +564,6 @@ def _isotropy(cycles: int, walk_cycles: int, out: Path, trials: Path, command: s
 
 
 def _write_isotropy(found: Found, out: Path) -> None:
-    from ember_ros.experiments import isotropy
-
     isotropy.draw(found, out / RESULTS / f"{ISOTROPY}.png")
     _write_page(ISOTROPY, found, isotropy.page, out)
 
@@ -567,7 +574,8 @@ def _write_page(name: str, found: Found, page: Callable[[Found], str], out: Path
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{name}.md").write_text(page(found), encoding="utf-8")
     (folder / f"{name}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    console.print(f"In {folder}: {name}.md, {name}.json")
+    made = [f"{name}.md", f"{name}.json", *(file.name for file in folder.glob(f"{name}.png"))]
+    console.print(f"In {folder}: {', '.join(made)}")
 
 
 @main.command("params")

@@ -7,7 +7,6 @@ import json
 import os
 import re
 import select
-import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -22,12 +21,12 @@ from ember_ros.bag.reading import Bag
 from ember_ros.bag.relearn import relearn
 from ember_ros.bag.repair import repair
 from ember_ros.bag.replay import WAYS, replay, verdict
-from ember_ros.errors import BagError, ParameterError
+from ember_ros.errors import BagError, ParameterError, no_ros
 from ember_ros.params import SPECS, replace
 from ember_ros.params_file import changed, config_names, dump_params, load_params, read_settings
-from ember_ros.run import TABLE, no_ros
+from ember_ros.run import TABLE
 from ember_ros.spinning import prepare_environment, stop_signals
-from ember_ros.terminal import console, progress
+from ember_ros.terminal import console, progress, typed
 from leg_node.table_file import load_table, save_table
 
 DIFFERENT = 1
@@ -140,7 +139,10 @@ def _robot(bag: Path, namespace: str | None, way: str) -> Bag:
     help="Of the robot, where the bag holds more than one; with --on graph, of the nodes as well.",
 )
 @click.option(
-    "--table", "table_file", type=click.Path(path_type=Path), help="Write its table here."
+    "--table",
+    "table_file",
+    type=click.Path(path_type=Path),
+    help="Write its table here, into a new file.",
 )
 def replay_command(
     bag: Path, way: str, rate: float, namespace: str | None, table_file: Path | None
@@ -155,6 +157,8 @@ def replay_command(
     ember replay bags/walk
     ember replay bags/walk --on graph --rate 1
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
+    if table_file is not None and table_file.exists():
+        raise ParameterError(f"{table_file} is there already; a new file would be right")
     with stop_signals() as stop, _robot(bag, namespace, way) as opened:
         from ember_ros import topics
 
@@ -173,6 +177,7 @@ def replay_command(
         tick_s = opened.params.gait.tick_s
         if table_file is not None:
             save_table(table_file, done.table, opened.params, 0)
+            console.print(f"In {table_file}: the table in the end")
     sha = done.table.sha256()
     faster = done.ticks * tick_s / done.seconds if done.seconds else 0.0
     lines: list[tuple[str, Any]] = [
@@ -389,8 +394,7 @@ def relearn_command(
     kept = [name for name in (TABLE, "relearn.json") if (out / name).exists()]
     if kept and not force:
         raise ParameterError(
-            f"{out} holds an earlier relearn ({', '.join(kept)}); give another --out, or --force "
-            "to replace it"
+            f"{out} holds {', '.join(kept)} already; give another --out, or --force to replace it"
         )
     given = load_params(*params_files) if params_files else None
     with Bag(bags[0], namespace=namespace, params=given) as first:
@@ -432,7 +436,7 @@ def relearn_command(
         update(total, f"{learnt.ticks} ticks, {learnt.falls} falls")
     visited = int((learnt.table.visits > 0).sum())
     told = {
-        "command": shlex.join(["ember", *sys.argv[1:]]),
+        "command": typed(),
         "bags": [str(bag) for bag in bags],
         "passes": passes,
         "stage": stage,

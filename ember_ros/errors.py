@@ -5,7 +5,7 @@ A message names what is wrong, where, and what would be right.
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import reprlib
 from typing import Any
 
@@ -14,6 +14,7 @@ PIP = {
     "matplotlib": "matplotlib",
     "mcap": "mcap",
     "numpy": "numpy",
+    "pybullet": "pybullet",
     "rich": "rich",
     "rosbags": "'rosbags<0.12'",
     "scipy": "scipy",
@@ -43,6 +44,8 @@ class EmberError(Exception):
 
     MOST = 2000
     """Characters; of a longer message the middle is left out."""
+    code = 2
+    """With which a command ends that says it."""
 
     def __str__(self) -> str:
         """Return the message."""
@@ -77,6 +80,12 @@ class BagError(EmberError):
     """A bag is missing, damaged, of something else, or cannot be written."""
 
 
+class StoppedError(EmberError):
+    """A run was stopped by Ctrl-C before there was anything to keep."""
+
+    code = 130
+
+
 class MissingError(EmberError):
     """A library is not installed."""
 
@@ -88,15 +97,25 @@ class MissingError(EmberError):
 
 
 def need(*names: str, why: str) -> None:
-    """Import libraries for the sake of the error: now, and not when all has been worked out.
+    """Look for libraries for the sake of the error: now, and not when all has been worked out.
 
     Raises:
         MissingError: one is not installed.
     """
     for name in names:
         try:
-            importlib.import_module(name)
-        except ModuleNotFoundError as error:
-            if error.name != name:
-                raise
-            raise MissingError(name, why) from error
+            found = importlib.util.find_spec(name)
+        except ModuleNotFoundError:
+            found = None
+        if found is None:
+            raise MissingError(name, why)
+
+
+def no_ros(error: ModuleNotFoundError) -> EmberError:
+    """Return what to say of a module of ROS that is missing; one of our own is raised as it is."""
+    if (error.name or "").partition(".")[0] in ("ember_ros", "leg_node", "sim_node", "cpg_node"):
+        raise error
+    return ParameterError(
+        f"ROS 2 is not here ({error}): `pip install 'ember_ros[ros]'`, or source an installed "
+        "Jazzy, with the Python that it is built for; `--on loop` needs none"
+    )

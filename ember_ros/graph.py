@@ -229,7 +229,7 @@ class Processes:
 
         Args:
             plan: what to run.
-            out: folder for the record, the table, the parameters, and a log a node in ``log``.
+            out: folder for the record and the table; parameters and a log a node in ``log``.
             namespace: of all nodes.
             patience: wall seconds to wait for anybody; each node's own default for None.
             bag: where to record the run to; nowhere for None.
@@ -241,14 +241,16 @@ class Processes:
         self._seat = run_seat(domain(), namespace)
         self.out = out
         self._logs = out / "log"
+        params = self._logs / "params.yaml"
         try:
             self._logs.mkdir(parents=True, exist_ok=True)
+            params.write_text(dump_params(plan.params), encoding="utf-8")
         except OSError as error:
+            self._seat.leave()
             raise GraphError(
-                f"cannot make the folder {self._logs} for what the nodes say: {error.strerror}"
+                f"cannot write {error.filename}, for what the nodes are told and say: "
+                f"{error.strerror}"
             ) from error
-        params = out / "params.yaml"
-        params.write_text(dump_params(plan.params), encoding="utf-8")
         nodes = node_options(plan, out, patience, bag)
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         try:

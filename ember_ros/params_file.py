@@ -84,10 +84,20 @@ def read_settings(settings: Sequence[str]) -> Mapping[str, Any]:
         if not equals:
             raise ParameterError(f"--set {shown(setting)}: group.field=value would be right")
         try:
+            if name.strip() in OPTION_NAMES:
+                raise ParameterError(not_a_number(name.strip()))
             changes[name.strip()] = check(name.strip(), _read(value))
         except ValueError as error:
             raise ParameterError(f"--set {shown(setting)}: {error}") from error
     return changes
+
+
+def not_a_number(option: str) -> str:
+    """Return what to say of an option that is given as a parameter of the robot."""
+    return (
+        f"{option} is an option of nodes, not a number of the robot: a node takes it with "
+        f"`-p {option}:=VALUE`, and `ember walk --help` tells the options that `ember` has"
+    )
 
 
 def _load(file: Path, base: Params, before: set[str]) -> Params:
@@ -126,11 +136,6 @@ def _load(file: Path, base: Params, before: set[str]) -> Params:
                 "later of two when it has a dot; a group and a name in it would be right"
             )
         before |= set(changes)
-        if options := sorted(OPTION_NAMES & set(changes)):
-            raise ParameterError(
-                f"{options[0]} is an option of nodes, not a number of the robot: `ember` takes it "
-                f"as an option of its own (`--help`), a node with `-p {options[0]}:=VALUE`"
-            )
         return replace(base, changes)
     except ParameterError as error:
         raise ParameterError(f"{file}: {error}") from error
@@ -140,7 +145,7 @@ def _names(numbers: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any
     """Yield full names and values; groups may be nested, or written with dots.
 
     Raises:
-        ParameterError: a name is said twice, once nested and once with dots.
+        ParameterError: a name is said twice, once nested and once with dots, or is an option's.
     """
     seen: set[str] = set()
     for key, value in numbers.items():
@@ -150,6 +155,8 @@ def _names(numbers: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any
             if each in seen:
                 raise ParameterError(f"{each} is said twice")
             seen.add(each)
+            if each in OPTION_NAMES:
+                raise ParameterError(not_a_number(each))
             if not is_ros_own(each):  # no number of the robot, and left to the nodes
                 yield each, number
 

@@ -62,11 +62,12 @@ def beginning(plan: Plan) -> list[str]:
         lines.append(other)
     numbers = plan.params.walk if plan.stage == "walk" else plan.params.train
     epsilon = epsilon_at(numbers, plan.start_cycle)
+    share = f"{100 * epsilon:.3g} %"
     if plan.start_cycle:
-        lines.append(f"going on from cycle {plan.start_cycle}, exploring {epsilon:.0%} at first")
+        lines.append(f"going on from cycle {plan.start_cycle}, exploring {share} at first")
     elif plan.policy == "learned" and epsilon > numbers.epsilon_end:
         lines.append(
-            f"starting from {plan.table} at cycle 0: {epsilon:.0%} of the actions are random at "
+            f"starting from {plan.table} at cycle 0: {share} of the actions are random at "
             "first, which may undo what it knows; --resume RUN goes on where a run was"
         )
     return lines

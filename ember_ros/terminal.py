@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import os
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -22,7 +24,7 @@ Update = Callable[[float, str], None]
 
 
 class _Forgetful:
-    """A file that forgets what is written to a terminal that is gone."""
+    """A file that forgets what is written to a terminal or a reader that is gone."""
 
     def __init__(self, file: IO[str]) -> None:
         self._file = file
@@ -31,22 +33,24 @@ class _Forgetful:
         return getattr(self._file, name)
 
     def write(self, text: str) -> None:
-        with _forgotten():
+        with self._forgotten():
             self._file.write(text)
 
     def flush(self) -> None:
-        with _forgotten():
+        with self._forgotten():
             self._file.flush()
 
-
-@contextmanager
-def _forgotten() -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        if error.errno != errno.EIO:
-            raise
-        let_go_of_terminal()
+    @contextmanager
+    def _forgotten(self) -> Iterator[None]:
+        try:
+            yield
+        except BrokenPipeError:  # `| head` has heard enough, and the run is whole all the same
+            with open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), self._file.fileno())
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise
+            let_go_of_terminal()
 
 
 class Terminal(Console):
@@ -68,6 +72,12 @@ aside = Terminal(stderr=True, highlight=False, markup=False)
 """How far it is goes here: to standard error, so that output can be piped on."""
 
 
+def typed() -> str:
+    """Return what was typed, for a text file: bytes that are no letters are spelt out."""
+    command = shlex.join(["ember", *sys.argv[1:]])
+    return command.encode("utf-8", "backslashreplace").decode()
+
+
 def say_all_paths() -> None:
     """Have what an encoding has no letters for spelt out: a path may be anything."""
     for stream in (sys.stdout, sys.stderr):
@@ -85,7 +95,7 @@ def progress(label: str, total: float) -> Iterator[Update]:
         label: what is done.
         total: how much there is to do.
     """
-    if not aside.is_terminal:
+    if not _interactive():
         yield _lines(label)
         return
     bar = Progress(
@@ -110,13 +120,17 @@ def progress(label: str, total: float) -> Iterator[Update]:
 
 @contextmanager
 def doing(label: str) -> Iterator[Callable[[str], None]]:
-    """Show what is done now, where nobody knows how much there is to do."""
-    if aside.is_terminal:
+    """Show what is done now, stage by stage, where nobody knows how much there is to do."""
+    if _interactive():
         with aside.status("") as status:
             yield status.update
     else:
-        update = _lines(label)
-        yield lambda what: update(0.0, what)
+        yield lambda what: aside.print(f"{label}: {what}")
+
+
+def _interactive() -> bool:
+    """Return whether somebody looks on from a terminal that can draw."""
+    return sys.stderr.isatty() and not aside.is_dumb_terminal
 
 
 def _lines(label: str) -> Update:

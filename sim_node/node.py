@@ -18,7 +18,7 @@ from ember_ros.bag.inquiry import Inquiry
 from ember_ros.bag.recording import Recording, Told
 from ember_ros.bag.scribe import Scribe
 from ember_ros.bag.storage import BagOptions
-from ember_ros.errors import BagError, SignalError
+from ember_ros.errors import BagError, ParameterError, SignalError
 from ember_ros.observer import Observer
 from ember_ros.plan import legs_of, make_world
 from ember_ros.report.recorder import Recorder
@@ -29,6 +29,7 @@ from ember_ros.spinning import main_of
 from ember_ros.throttle import SAY_S, Throttle
 from sim_node.world import World
 
+FINISHED = "summary.json"  # what `ember` writes last into the folder of a run
 WATCH_S = 0.05  # wall time between looks at who is late
 ANSWER_S = 5.0  # least wall time to wait for nodes to say what they were told
 AHEAD = 24  # ticks ahead of a recorder: Fast DDS holds 512 messages between two processes
@@ -79,13 +80,17 @@ class SimNode(Seated, Node):  # type: ignore[misc]
         params = declare_params(self, self.GROUPS)
         options = declare_options(self, self.OPTIONS)
         self.take_seat(topics.CLOCK)
+        out = Path(options["out"]) if options["out"] else None
+        if out is not None and (out / FINISHED).exists():
+            raise ParameterError(
+                f"out = {str(out)!r} holds a run of `ember` ({FINISHED}); another folder would be "
+                "right"
+            )
         self.world = world or make_world(
             options["world"], params, options["seed"], gui=options["gui"]
         )
         self.legs = self.world.legs if world else legs_of(options["world"])
-        self.recorder = Recorder(
-            params, self.legs, Path(options["out"]) if options["out"] else None
-        )
+        self.recorder = Recorder(params, self.legs, out)
         self.observers: list[Observer] = [self.recorder]
         """Who hears every tick."""
         self._kind: str = options["world"]

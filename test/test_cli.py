@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import fcntl
 import json
 import os
 import re
@@ -24,6 +25,7 @@ from ember_ros.params_file import dump_params, load_params
 from ember_ros.report.recorder import Row, load_record
 from ember_ros.run import EARLIER, SUMMARY, TABLE
 from ember_ros.seat import run_seat
+from ember_ros.spinning import Stop
 from leg_node.table_file import load_table
 
 pytest.importorskip("pybullet", reason="every command here builds a world")
@@ -136,15 +138,48 @@ def test_an_earlier_run_is_not_replaced_unasked(run: Run) -> None:
     assert Path("out/train", TABLE).read_bytes() != before
 
 
-def test_an_earlier_run_that_a_killed_one_set_aside_is_not_replaced_unasked(run: Run) -> None:
-    """Neither where it lies nor where it was."""
+def test_an_earlier_run_that_a_killed_one_set_aside_is_there_again(run: Run) -> None:
+    """It is not replaced unasked, and lies where it lay; ``--resume`` finds it too."""
     run("train", "--cycles", 1)
-    aside = Path("out/train", EARLIER)
-    aside.mkdir()
-    for name in (SUMMARY, TABLE):
-        Path("out/train", name).replace(aside / name)
-    assert "earlier run" in run("train", "--cycles", 2, code=2)
-    assert (aside / TABLE).exists()
+    out, aside = Path("out/train"), Path("out/train", EARLIER)
+    for words, code in ((("--cycles", 2), 2), (("--resume", out, "--out", "b"), 0)):
+        aside.mkdir()
+        for name in (SUMMARY, TABLE):
+            (out / name).replace(aside / name)
+        (out / "cycles.csv").write_text("cycle,module\n")
+        said = run("train", "--cycles", 2, *words, code=code)
+        assert ("earlier run (summary.json, table.npz)" in said) is bool(code)
+        assert {each.name for each in out.iterdir()} >= {SUMMARY, TABLE}
+        assert not aside.exists()
+
+
+@pytest.mark.parametrize("name", ["cycles.csv", "run.png", "traces.npy"])
+def test_whatever_a_run_writes_is_not_replaced_unasked(run: Run, name: str) -> None:
+    """``ember bag csv --out v`` leaves a cycles.csv too."""
+    Path("v").mkdir()
+    Path("v", name).write_text("mine")
+    assert f"({name})" in run("train", "--cycles", 1, "--out", "v", code=2)
+    assert Path("v", name).read_text() == "mine"
+
+
+def test_where_another_run_writes_the_second_is_told_so(run: Run) -> None:
+    """And not to force its way."""
+    run("train", "--cycles", 1)
+    held = os.open("out/train", os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)
+    assert "another run is writing into out/train" in run("train", "--cycles", 1, code=2)
+    os.close(held)
+
+
+def test_ctrl_c_before_the_first_cycle_replaces_nothing(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says that the earlier run is as it was, with the code of Ctrl-C."""
+    run("train", "--cycles", 1)
+    before = Path("out/train", SUMMARY).read_text()
+    monkeypatch.setattr(Stop, "__init__", Stop.ask)
+    assert "is as it was" in run("train", "--cycles", 2, "--force", code=130)
+    assert Path("out/train", SUMMARY).read_text() == before
 
 
 @pytest.mark.parametrize("verb", ["train", "walk", "demo", "bench", "experiment"])
@@ -155,8 +190,8 @@ def test_no_name_is_no_folder(run: Run, verb: str) -> None:
     assert list(Path().iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["log", "params.yaml", "cycles.csv"])
-def test_a_file_where_a_folder_is_needed_is_said_in_one_line(run: Run, name: str) -> None:
+@pytest.mark.parametrize(("name", "way"), [("log", "processes"), ("cycles.csv", "loop")])
+def test_a_file_where_a_folder_is_needed_is_said_in_one_line(run: Run, name: str, way: str) -> None:
     """And the other way round."""
     out = Path("out")
     out.mkdir()
@@ -164,13 +199,10 @@ def test_a_file_where_a_folder_is_needed_is_said_in_one_line(run: Run, name: str
         (out / name).write_text("mine")
     else:
         (out / name).mkdir()
-    way = "loop" if name == "cycles.csv" else "processes"
-    code = 0 if name == "cycles.csv" else 2  # set aside with the earlier run
-    said = run("walk", "--cycles", 1, "--on", way, "--out", out, code=code)
-    if code:
-        (line,) = [line for line in said.splitlines() if line.strip()]
-        assert line.startswith("error: ")
-        assert str(out / name) in line
+    said = run("walk", "--cycles", 1, "--on", way, "--out", out, "--force", code=2)
+    (line,) = [line for line in said.splitlines() if line.strip()]
+    assert line.startswith("error: ")
+    assert str(out / name) in line
 
 
 def test_progress_is_a_line_now_and_then_without_a_terminal(

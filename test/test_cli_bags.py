@@ -555,7 +555,11 @@ def test_replay_comes_out_equal(run: Go, walked: Made) -> None:
     assert "commands 256 held against the record" in text
     assert f"table SHA-256 {walked.table[:12]}, as recorded" in text
     assert text.endswith("Equal, bit for bit.")
+    assert "In again.npz: the table in the end" in text
     assert load_table(Path("again.npz"), PARAMS)[0].sha256() == walked.table
+    before = Path("again.npz").read_bytes()
+    assert "is there already" in run("replay", walked.bag, "--table", "again.npz", code=2)
+    assert Path("again.npz").read_bytes() == before
 
 
 @pytest.mark.parametrize("world", ["walker", "trainer"])

@@ -20,13 +20,14 @@ import pytest
 from ember_ros.cli import main
 from ember_ros.experiments import lab, relearn, stats
 from ember_ros.experiments.central import CentralLoop
-from ember_ros.experiments.reproduction import DOCUMENT, OLDER, RESULTS, STUDIES, document
+from ember_ros.experiments.reproduction import DOCUMENT, RESULTS, STUDIES, document
 from ember_ros.experiments.studies import learners, senses
-from ember_ros.experiments.studies.fig5 import settles
+from ember_ros.experiments.studies.fig5 import BACK, HEIGHTS, settles
 from ember_ros.experiments.studies.sharing import NEVER, reached
 from ember_ros.experiments.study import (
     BODIES,
     LEARNERS,
+    OLDER,
     OTHER_SEED,
     Size,
     belongs,
@@ -223,10 +224,19 @@ def alive(group: int) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
-def test_ctrl_c_stops_an_experiment_and_its_workers(tmp_path: Path, number: int) -> None:
+@pytest.mark.parametrize(
+    ("number", "words", "says"),
+    [
+        (signal.SIGINT, ("fig5", "--seeds", "2"), "what was run is in out/trials"),
+        (signal.SIGHUP, ("fig5", "--seeds", "2"), "what was run is in out/trials"),
+        (signal.SIGINT, ("relearn", "--cycles", "1000000"), "after 0 of 5 seeds"),
+    ],
+)
+def test_ctrl_c_stops_an_experiment_and_its_workers(
+    tmp_path: Path, number: int, words: tuple[str, ...], says: str
+) -> None:
     """The terminal, or its end, signals them all: 130, a line that says so, nobody left."""
-    command = [sys.executable, "-m", "ember_ros", "experiment", "fig5", "--seeds", "2"]
+    command = [sys.executable, "-m", "ember_ros", "experiment", *words]
     with subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, start_new_session=True
     ) as child:
@@ -235,7 +245,8 @@ def test_ctrl_c_stops_an_experiment_and_its_workers(tmp_path: Path, number: int)
         os.killpg(child.pid, number)
         output, _ = child.communicate(timeout=120)
     assert child.returncode == 130, output
-    assert "Stopped; what was run is in out/trials" in output
+    assert "Stopped" in output
+    assert says in output
     deadline = time.monotonic() + 60.0
     while left := alive(child.pid):
         assert time.monotonic() < deadline, f"left behind: {left}"
@@ -502,7 +513,8 @@ def test_several_seeds_in_small(tmp_path: Path) -> None:
     words = ("experiment", "fig5", "--seeds", 2, "--cycles", 4, "--out", tmp_path)
     assert ember(*words, "--trials", tmp_path / "trials") == 0
     found = json.loads((tmp_path / RESULTS / "fig5.json").read_text())
-    assert [len(arm["runs"]) for arm in found["arms"]] == [2] * 4
+    ways = len(LEARNERS) * len(HEIGHTS) + len(BACK)
+    assert [len(arm["runs"]) for arm in found["arms"]] == [2] * ways
     curve = found["curves"]["ember/fixed/peak_force_n"]
     (arm,) = (a for a in found["arms"] if a["labels"] == {"learner": "ember", "height": "fixed"})
     means = [run["peak_force_n"] for run in arm["runs"]]  # over all 4 steps, of both seeds

@@ -140,3 +140,34 @@ def test_nodes_walk_without_what_only_ember_needs(free_domain: int) -> None:
     hidden = "click,rich,matplotlib,mcap,rosbags,scipy"
     done = without(hidden, WALK, domain=free_domain)
     assert (done.returncode, done.stdout.strip()) == (0, "64"), done.stderr
+
+
+def test_a_command_whose_standard_streams_are_closed_runs(tmp_path: Path) -> None:
+    """``ember train 2>&- <&-``: no file of its own takes their places."""
+    done = subprocess.run(
+        ["sh", "-c", 'exec "$0" -m ember_ros train --cycles 1 --out out 2>&- <&-', sys.executable],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        check=False,
+        timeout=60.0,
+    )
+    assert done.returncode == 0
+    assert "In out: table.npz" in done.stdout
+    assert (tmp_path / "out" / "summary.json").exists()
+
+
+@pytest.mark.skipif(not ROS, reason="rclpy is missing")
+def test_the_help_of_a_node_may_be_cut_off() -> None:
+    """``leg_node --help | head -1``: no traceback."""
+    code = "from ember_ros.entry_points import leg_node; leg_node()"
+    command = [sys.executable, "-c", code, "--help"]
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        command, stdout=write, stderr=subprocess.PIPE, text=True, check=False, env=env, timeout=60.0
+    )
+    os.close(write)
+    assert done.stderr == ""

@@ -25,6 +25,7 @@ from ember_ros.loop import Loop
 from ember_ros.options import OPTIONS
 from ember_ros.params import SPECS, Params, cells_sha256
 from ember_ros.plan import Plan
+from ember_ros.run import SUMMARY
 from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Pair, Phase, Transition
 from ember_ros.spinning import main_of
 from leg_node.module import LegModule
@@ -33,7 +34,7 @@ from leg_node.shared import Push, SharedTable
 from leg_node.table import empty_table
 from leg_node.table_file import load_table, save_table
 from leg_node.table_node import TableNode
-from sim_node.node import SimNode
+from sim_node.node import FINISHED, SimNode
 
 if TYPE_CHECKING:
     from test.conftest import Ros
@@ -921,3 +922,13 @@ def test_learning_can_be_switched_off_and_on(ros: Ros) -> None:
     ros.call(pull, calls.write_pull(None, 9))
     assert node.shared.table.visits.sum() == 2 * len(GOOD.pairs)
     assert node.refused == 0
+
+
+def test_a_sim_node_writes_over_no_run_of_ember(ros: Ros, tmp_path: Path) -> None:
+    """Its record beside another one's summary would be neither's."""
+    assert FINISHED == SUMMARY
+    (tmp_path / SUMMARY).write_text("{}")
+    (tmp_path / "cycles.csv").write_text("theirs")
+    with pytest.raises(ParameterError, match=r"holds a run of `ember`"):
+        make(ros, SimNode, out=str(tmp_path))
+    assert (tmp_path / "cycles.csv").read_text() == "theirs"

@@ -104,14 +104,14 @@ def test_what_is_other_now_is_named(tmp_path: Path) -> None:
     assert lines[0] == (
         f"{file} was learnt with other parameters: walker.mass 5.0, now 4.0; reward.lead 2, now 0"
     )
-    assert "100% of the actions are random at first" in lines[1]
+    assert "100 % of the actions are random at first" in lines[1]
     many = {f"trainer.{n}": 0.4 for n in ("stop_low", "stop_height", "tip_mass")}
     many |= {f"reward.{n}": 0.1 for n in ("slip", "height", "force", "force_limit")}
     many |= {f"walker.{n}": 0.3 for n in ("radius", "hip_half_width", "mass")}
     told = beginning(Plan("trainer", 1, params=replace(EAGER, many), table=file))
     assert told[0].endswith("; and 2 more")
     (only,) = beginning(Plan("trainer", 1, params=EAGER, table=file, start_cycle=10))
-    assert only == "going on from cycle 10, exploring 50% at first"
+    assert only == "going on from cycle 10, exploring 50 % at first"
 
 
 @pytest.mark.parametrize("seed", [-1, MOST + 1])

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +14,9 @@ import pytest
 
 import ember_ros.run
 from ember_ros import spinning
-from ember_ros.errors import ParameterError
+from ember_ros.errors import ParameterError, StoppedError
 from ember_ros.plan import Plan
-from ember_ros.run import EARLIER, SUMMARY, TABLE, run
+from ember_ros.run import EARLIER, SUMMARY, TABLE, recover, run
 from leg_node.table_file import load_table
 
 pytest.importorskip("pybullet")
@@ -22,7 +25,7 @@ PLAN = Plan("trainer", 3, seed=1)
 
 
 def go(out: Path, plan: Plan = PLAN, way: str = "loop", **more: Any) -> dict[str, Any]:
-    """Run a plan."""
+    """Run a plan, as with ``--force``."""
     return run(plan, way, out, more.get("go_on", lambda cycles, falls: True), "test")[1]
 
 
@@ -78,28 +81,96 @@ def test_a_run_that_cannot_begin_brings_the_earlier_one_back(
     assert files(tmp_path) == before
 
 
-def test_what_a_killed_run_had_set_aside_is_not_lost(tmp_path: Path) -> None:
-    """Killed before its first cycle ended: the next that cannot begin brings the earlier back."""
-    go(tmp_path)
-    before = files(tmp_path)
-    aside = tmp_path / EARLIER
-    aside.mkdir()
-    for name in before:
-        (tmp_path / name).replace(aside / name)
-    (tmp_path / "cycles.csv").write_text("cycle,module\n")
-    with pytest.raises(ParameterError, match="no policy"):
-        go(tmp_path, Plan("trainer", 1, policy="none"))
-    assert files(tmp_path) == before
+class Killed(BaseException):
+    """A ``kill -9`` at some point: nothing is tidied up behind it."""
+
+
+def killed_after(monkeypatch: pytest.MonkeyPatch, moves: int) -> None:
+    """Have a run die after so many moves of files, its clean-up included."""
+    left = moves
+
+    def move(call: Callable[..., Any]) -> Callable[..., Any]:
+        def go(*args: Any, **kw: Any) -> Any:
+            nonlocal left
+            if left <= 0:
+                raise Killed
+            left -= 1
+            return call(*args, **kw)
+
+        return go
+
+    for name in ("replace", "rename", "unlink", "rmdir", "mkdir"):
+        monkeypatch.setattr(Path, name, move(getattr(Path, name)))
+
+
+@pytest.mark.parametrize("table", [False, True])
+def test_a_kill_at_any_point_before_the_first_cycle_costs_nothing_of_the_earlier_run(
+    tmp_path: Path, table: bool
+) -> None:
+    """While it is set aside, while the new one begins, and while it comes back, again and again."""
+    earlier, tried = tmp_path / "earlier", 0
+    go(earlier)
+    before = files(earlier)
+    start = earlier / TABLE if table else None
+
+    def begins(plan: Plan, out: Path, *others: Any) -> None:
+        (out / "cycles.csv").write_text("cycle,module\n")
+        (out / TABLE).write_bytes(b"half")
+        raise ParameterError("it cannot begin")
+
+    for moves in range(60):
+        out = tmp_path / str(moves)
+        shutil.copytree(earlier, out)
+        plan = Plan("trainer", 3, seed=1, table=out / TABLE if start else None)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(ember_ros.run, "_loop", begins)
+            killed_after(patch, moves)
+            with pytest.raises((Killed, ParameterError)) as ended:
+                go(out, plan)
+        for again in (3, 1):  # two more are killed, while they bring it back
+            with pytest.MonkeyPatch.context() as patch:
+                killed_after(patch, again)
+                with suppress(Killed):
+                    recover(out)
+        recover(out)
+        assert files(out) == before, moves
+        tried = moves
+        if ended.type is ParameterError:
+            break
+    assert 15 < tried < 59  # it was killed everywhere, and then not at all
 
 
 def test_what_a_killed_run_had_set_aside_goes_once_it_had_begun(tmp_path: Path) -> None:
-    """Its own first cycle is more than what it replaced."""
+    """Its own first cycle is more than what it replaced: it is not brought back over it."""
     go(tmp_path)
+    now = files(tmp_path)
     (tmp_path / EARLIER).mkdir()
     (tmp_path / EARLIER / SUMMARY).write_text("older")
-    go(tmp_path, Plan("trainer", 2, seed=2))
-    assert "older" not in (tmp_path / SUMMARY).read_text()
-    assert not (tmp_path / EARLIER).exists()
+    with pytest.raises(ParameterError, match="no policy"):
+        go(tmp_path, Plan("trainer", 1, policy="none"))
+    assert files(tmp_path) == now
+
+
+def test_a_run_that_is_stopped_before_its_first_cycle_replaces_nothing(tmp_path: Path) -> None:
+    """It says so; where there was no earlier one, it is a run of no cycles."""
+    go(tmp_path)
+    before = files(tmp_path)
+    with pytest.raises(StoppedError, match="is as it was"):
+        go(tmp_path, go_on=lambda cycles, falls: False)
+    assert files(tmp_path) == before
+    told = go(tmp_path / "new", go_on=lambda cycles, falls: False)
+    assert told["cycles"] == 0
+
+
+@pytest.mark.parametrize("name", ["cycles.csv", "summary.json", TABLE])
+def test_a_folder_where_a_file_will_be_is_said_and_stays(tmp_path: Path, name: str) -> None:
+    """It is nobody's but the user's."""
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "mine").write_text("mine")
+    with pytest.raises(ParameterError, match=rf"{name} is a folder"):
+        go(tmp_path)
+    assert (tmp_path / name / "mine").read_text() == "mine"
+    assert [each.name for each in tmp_path.iterdir()] == [name]
 
 
 def test_a_run_replaces_the_earlier_one(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ember_ros.experiments.lab import each_seed, run_all
+from ember_ros.experiments.lab import each_seed, go_on, run_all
 from ember_ros.experiments.study import Size, age, numbers, trained
 from ember_ros.experiments.trial import TABLE, code_sha256
 from ember_ros.experiments.words import Found, grid
@@ -23,8 +23,6 @@ from ember_ros.plan import Plan
 from ember_ros.report.figures import AMBER, BLUE, INK, canvas, save
 from ember_ros.report.recorder import Recorder
 from ember_ros.versions import versions
-from sim_node.bullet import Ground, bullet
-from sim_node.walker import WalkerWorld
 
 AXES = ("world", "robot")
 """Whose axes friction has: the world's, as in Bullet, or the robot's, as here."""
@@ -32,22 +30,10 @@ WALKERS = ("scripted", "trained")
 SLID, WALKED = 24, 8
 """Headings of sliding bodies, and of walkers."""
 APART = math.radians(56.25)
-"""Between the headings of walkers, rad: eight of them lie all around, and stand to the axes of
-friction, which are alike every quarter turn, in eight ways."""
+"""Between the headings of walkers, rad: eight of them lie all around, and each has another angle to
+the axes of friction, which repeat every quarter turn."""
 SPEED = 1.0
 """Of a body that is let slide, m/s."""
-PERIOD = 20
-"""Cycles between two of the yaws that are kept."""
-
-
-class WorldAxes(WalkerWorld):
-    """The walker on ground that is never turned: friction has the world's axes."""
-
-    def _heading(self) -> float:
-        return 0.0
-
-
-WORLDS = {"world": WorldAxes, "robot": WalkerWorld}
 
 
 def headings() -> list[float]:
@@ -66,6 +52,8 @@ def slide(params: Params, heading: float, axes: str) -> tuple[float, float]:
     Returns:
         How far it went, m, and how far it came off its heading, rad.
     """
+    from sim_node.bullet import Ground, bullet
+
     physics, foot = params.physics, params.leg.foot_radius
     client = bullet.connect(bullet.DIRECT)
     try:
@@ -128,9 +116,17 @@ def walk(
         table: of a walker that was trained.
 
     Returns:
-        ``turned_rad``: how far it has turned since it began, at every ``PERIOD``-th cycle;
+        ``turned_rad``: how far it has turned since it began, in the end of each cycle;
         ``distance_m`` a cycle; ``falls``.
     """
+    from sim_node.walker import WalkerWorld
+
+    class WorldAxes(WalkerWorld):
+        """The walker on ground that is never turned: friction has the world's axes."""
+
+        def _heading(self) -> float:
+            return 0.0
+
     plan = Plan(
         "walker",
         cycles,
@@ -139,19 +135,22 @@ def walk(
         learning=False,
         table=table,
     )
-    loop = Loop(plan, WORLDS[axes](params, heading=heading))
+    world = {"world": WorldAxes, "robot": WalkerWorld}[axes](params, heading=heading)
+    loop = Loop(plan, world)
     try:
         recorder = Recorder(params, plan.legs)
-        for _ in range(cycles * params.gait.ticks):
-            loop.tick(recorder)
+        for _ in range(cycles):
+            if not go_on():
+                break
+            for _ in range(params.gait.ticks):
+                loop.tick(recorder)
         recorder.finish(loop.world.observe(), loop.world.body())
     finally:
         loop.close()
     rows = recorder.body_rows()
     began = math.remainder(heading, math.tau)
-    yaw = [row.yaw_rad or 0.0 for row in rows[PERIOD - 1 :: PERIOD]]
     return {
-        "turned_rad": [0.0, *(round(each - began, 5) for each in yaw)],
+        "turned_rad": [round((row.yaw_rad or 0.0) - began, 4) for row in rows],
         "distance_m": round(sum(row.distance_m or 0.0 for row in rows) / cycles, 5),
         "falls": loop.world.body().falls,
     }
@@ -257,15 +256,20 @@ def page(found: Found) -> str:
         f"them all). Versions: {known}.",
         "",
         "Bullet works friction out along two axes of the world. Where a foot slides at an angle to "
-        "them, the force does not point straight against its slip, and is of another size: a "
-        "walker on such ground turns until it heads where it is held best. Here the ground is "
-        "turned with the robot, so the axes lie along its heading and across it, whatever that is.",
+        "them, the force is smaller and does not point straight against its slip: a walker on "
+        "such ground turns until it heads between the axes. Here the ground is turned with the "
+        "robot, so the axes lie along its heading and across it, whatever that is.",
         "",
         f"**A body on four feet** is pushed at {SPEED} m/s along each of {SLID} headings and "
         "slides to rest:",
         "",
         *grid(
-            ("axes of friction", "it slides, m", "farthest by shortest", "most off its way, rad"),
+            (
+                "axes of friction",
+                "it slides, m",
+                "farthest less shortest, % of the shortest",
+                "largest angle to its heading, rad",
+            ),
             slid,
         ),
         "",
@@ -302,14 +306,15 @@ def draw(found: Found, file: Path) -> None:
     colours = dict(zip(AXES, (AMBER, BLUE), strict=True))
     degrees = [math.degrees(heading) for heading in slides["heading_rad"]]
     for whose in AXES:
-        label = f"the {whose}'s axes"
-        axes[0, 0].plot(degrees, slides[whose]["way_m"], "o-", ms=3, color=colours[whose])
+        way, label = slides[whose]["way_m"], f"the {whose}'s axes"
+        axes[0, 0].plot(degrees, way, "o-", ms=3, color=colours[whose], label=label)
         for column, walker in enumerate(WALKERS, 1):
             for n, run in enumerate(walks[f"{walker}/{whose}"]):
                 turned = run["turned_rad"]
-                cycles = [k * PERIOD for k in range(len(turned))]
                 name = label if n == 0 else None
-                axes[0, column].plot(cycles, turned, color=colours[whose], lw=1.2, label=name)
+                axes[0, column].plot(
+                    range(1, len(turned) + 1), turned, color=colours[whose], lw=1.2, label=name
+                )
             axes[0, column].set_title(f"{walker} walkers", loc="left", color=INK)
             axes[0, column].set_xlabel("cycles")
             axes[0, column].set_ylabel("turned, rad")
@@ -317,5 +322,5 @@ def draw(found: Found, file: Path) -> None:
     axes[0, 0].set_xlabel("heading, degrees")
     axes[0, 0].set_ylabel("distance, m")
     axes[0, 0].set_ylim(0.0, 1.1 * max(max(slides[whose]["way_m"]) for whose in AXES))
-    axes[0, 1].legend(frameon=False)
+    axes[0, 0].legend(frameon=False, loc="center")
     save(figure, file)

@@ -43,12 +43,13 @@ def _end_with_parent() -> None:
     os._exit(1)  # what waits for a queue of a dead parent waits for ever
 
 
-def _go_on() -> bool:
+def go_on() -> bool:
+    """Return whether a worker is to go on: to be asked at every cycle."""
     return _stopped is None or not _stopped.is_set()
 
 
 def _job(trial: Trial, folder: Path) -> bool:
-    return run_trial(trial, folder, _go_on)
+    return run_trial(trial, folder, go_on)
 
 
 def _nothing() -> None:
@@ -169,14 +170,18 @@ def each_seed(
     """Run a job for the seeds from 0 on, and return what came of each, in order of seed.
 
     Args:
-        job: a function of a module, or a ``functools.partial`` of one.
+        job: a function of a module, or a ``functools.partial`` of one; it asks ``go_on``, and what
+            it returns after a no is left out.
         seeds: how many.
-        say: told how many seeds are done of how many; returns whether to go on.
+        say: told now and then how many seeds are done of how many; returns whether to go on.
     """
-    with workers() as (pool, _):
+    with workers() as (pool, stop):
         jobs = [pool.submit(job, seed) for seed in range(seeds)]
-        for count, _ in enumerate(concurrent.futures.as_completed(jobs), 1):
-            if not say(count, seeds):
+        whole: set[concurrent.futures.Future[dict[str, Any]]] = set()
+        while len(whole) < seeds and not any(job.exception() for job in whole):
+            whole, _ = concurrent.futures.wait(jobs, 0.5)
+            if not say(len(whole), seeds):
+                stop.set()
                 pool.shutdown(cancel_futures=True)
                 break
-        return [job.result() for job in jobs if job.done() and not job.cancelled()]
+        return [job.result() for job in jobs if job in whole]

@@ -15,7 +15,7 @@ from typing import Any
 
 from ember_ros.bag.relearn import relearn
 from ember_ros.bag.storage import BagOptions
-from ember_ros.experiments.lab import each_seed
+from ember_ros.experiments.lab import each_seed, go_on
 from ember_ros.experiments.study import OTHER_SEED, age, numbers
 from ember_ros.experiments.trial import LOW_M, TILT_RAD, code_sha256
 from ember_ros.experiments.words import Found
@@ -39,7 +39,7 @@ def one_seed(seed: int, *, cycles: int, walk_cycles: int, out: Path) -> dict[str
     def go(plan: Plan, name: str, bag: Path | None = None) -> dict[str, Any]:
         into = BagOptions(bag) if bag else None
         record, summary = run(
-            plan, "loop", folder / name, lambda cycles, falls: True, "relearn", into
+            plan, "loop", folder / name, lambda cycles, falls: go_on(), "relearn", into
         )
         keys = ("falls", "distance_per_cycle_m", "roll_sd_rad", "pitch_sd_rad")
         rows = record.body_rows()

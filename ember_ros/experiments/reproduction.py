@@ -146,7 +146,7 @@ def _summary(found: dict[str, Found]) -> list[str]:
             f"- `{learner}`, seeds {seeds}: {words.never_fell(runs)} walkers never fell in "
             f"{runs[0]['cycles']} steps of learning in situ, {sum(r['falls'] for r in runs)} falls "
             f"in all; {mean:.3f} m a step, {mean / scripted:.0%} of the scripted knee's "
-            f"({walker.ENOUGH:.0%} was asked for). The paper's walker fell at steps 62 and 5473 of "
+            f"(our target: {walker.ENOUGH:.0%}). The paper's walker fell at steps 62 and 5473 of "
             "about 6900."
         )
     for body in frontier.BODIES:
@@ -158,8 +158,8 @@ def _summary(found: dict[str, Found]) -> list[str]:
         }
         told = ", ".join(f"{learner} {rate:.2f}" for learner, rate in rates.items())
         lines.append(
-            f"- Frontier, {body} body, falls per 1000 steps (at most {frontier.AIM:.0f} was aimed "
-            f"at): {told}."
+            f"- Frontier, {body} body, falls per 1000 steps (our target: at most {frontier.AIM:.0f}"
+            f"): {told}."
         )
     return lines
 

@@ -31,7 +31,8 @@ BACK: dict[str, dict[str, Any]] = {
     "gamma 0.9": {"train__gamma": 0.9},
     "lead 0": {"reward__lead": 0},
 }
-"""What `ember`'s training had before it was made even, or has not in the paper, each alone."""
+"""Numbers of `ember`'s training as they were before it was made even, or as the paper has them:
+each alone, and all that were changed together."""
 BEFORE = "stop, randomness and gamma as before"
 BACK[BEFORE] = {k: v for name in list(BACK)[:3] for k, v in BACK[name].items()}
 QUANTITIES = {"distance_m": "distance a step, m", "peak_force_n": "peak force a step, N"}
@@ -166,7 +167,7 @@ def claims(found: Found) -> list[Claim]:
                     stats.verdict(change, claimed=-1),
                 ),
                 Claim(
-                    f"asked for: an SD of at most {EVEN:.0%} of the mean over the last {WINDOW} "
+                    f"our target: an SD of at most {EVEN:.0%} of the mean over the last {WINDOW} "
                     f"steps in at least {MOSTLY:.0%} of the trainings",
                     where,
                     f"{even} of {n}; {_shares(last['share'])} of the mean",
@@ -277,9 +278,9 @@ def _causes(found: Found) -> list[str]:
         )
     most = f"at most {EVEN:.0%} of the mean"
     return [
-        "What makes them even: `ember` as it is, and with one number of its training as it was "
-        "before, or as the paper has it. A foot that is down in the last tick of its swing, while "
-        "the hip still swings forward, brakes the bar, and the step is short:",
+        "What makes them even: `ember` as it is, and with numbers of its training as they were "
+        "before, or as the paper has them. A foot that is down in the last tick of its swing, "
+        "while the hip still swings forward, brakes the bar, and the step is short:",
         "",
         *words.grid(
             (
@@ -287,7 +288,7 @@ def _causes(found: Found) -> list[str]:
                 f"even: SD {most}",
                 "SD by mean, last, seed by seed",
                 "distance a step at the end, m",
-                "foot down in the last tick of swing, % of all steps",
+                "foot down in the last tick of swing, % of all steps, first ones included",
             ),
             lines,
         ),

@@ -26,7 +26,7 @@ DEGREE = 4
 """Of the trend, as in the paper."""
 ANGLES = ("roll", "pitch")
 STAND, SLACK, ENOUGH, LOWER = 0.9, 0.01, 0.75, 0.8
-"""What is asked for: shares of walkers that never fall, of steps outside, of the scripted way, and
+"""What is our target: shares of walkers that never fall, of steps outside, of the scripted way, and
 of walkers that are steadier at the end."""
 
 
@@ -95,7 +95,7 @@ def claims(found: Found) -> list[Claim]:
             lower = sum(b < a for a, b in zip(first, last, strict=True))
             steadier.append(
                 Claim(
-                    f"asked for: the SD of {angle} is lower at the end in at least {LOWER:.0%}",
+                    f"our target: the SD of {angle} is lower at the end in at least {LOWER:.0%}",
                     f"`{learner}`, {seeds}",
                     f"{lower} of {len(runs)}",
                     words.bar(lower >= LOWER * len(runs), runs),
@@ -116,7 +116,7 @@ def claims(found: Found) -> list[Claim]:
         never = sum(run["falls"] == 0 for run in runs)
         lines.append(
             Claim(
-                f"asked for: at least {STAND:.0%} of the walkers never fall",
+                f"our target: at least {STAND:.0%} of the walkers never fall",
                 where,
                 f"{never} of {len(runs)}",
                 words.bar(never >= STAND * len(runs), runs),
@@ -127,7 +127,7 @@ def claims(found: Found) -> list[Claim]:
             middle = stats.quartiles(settled)[1]
             lines.append(
                 Claim(
-                    f"asked for: outside in under {SLACK:.0%} of steps after the first {SETTLING}",
+                    f"our target: outside in under {SLACK:.0%} of steps after the first {SETTLING}",
                     where,
                     f"{middle:.2%}, median over seeds",
                     words.bar(middle < SLACK, runs),
@@ -136,7 +136,7 @@ def claims(found: Found) -> list[Claim]:
         way = sum(words.column(runs, "distance_m")) / len(runs) / scripted
         lines.append(
             Claim(
-                f"asked for: at least {ENOUGH:.0%} of the scripted knee's way",
+                f"our target: at least {ENOUGH:.0%} of the scripted knee's way",
                 where,
                 f"{way:.0%}, mean over seeds",
                 words.bar(way >= ENOUGH, runs),
