@@ -11,13 +11,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import IO, Any
 
-from rich.console import Console
+from rich.console import Console, ConsoleDimensions
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ember_ros.spinning import let_go_of_terminal
 
 SAY_S = 10.0
 """Wall seconds between two lines that say how far a run is, where there is no terminal."""
+
+WIDE = 1000
+"""Columns where there is no terminal."""
 
 Update = Callable[[float, str], None]
 """Told how much is done, and that in words."""
@@ -55,6 +58,17 @@ class _Forgetful:
 
 class Terminal(Console):
     """A console whose run goes on, and is saved, when its terminal is closed."""
+
+    @property
+    def size(self) -> ConsoleDimensions:
+        """Return columns and lines; where there is no terminal, no line and no path is broken."""
+        if self.is_terminal or "COLUMNS" in os.environ:
+            return super().size
+        return ConsoleDimensions(WIDE, super().size.height)
+
+    @size.setter
+    def size(self, new: tuple[int, int]) -> None:
+        self._width, self._height = new
 
     @property
     def file(self) -> IO[str]:

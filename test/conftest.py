@@ -6,6 +6,7 @@ import fcntl
 import functools
 import gc
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -133,13 +134,18 @@ def _reserved_domain() -> Iterator[int]:
 
 @pytest.fixture(scope="session", autouse=True)
 def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep discovery on this machine, and logs out of the user's home."""
+    """Keep discovery on this machine, and logs out of the user's home.
+
+    Below ``nohup`` a SIGHUP is ignored, and by all that is started here too.
+    """
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         patch.setenv("ROS_LOG_DIR", str(tmp_path_factory.mktemp("log")))
         patch.delenv("ROS_LOCALHOST_ONLY", raising=False)
         patch.delenv("ROS_STATIC_PEERS", raising=False)
         yield
+    signal.signal(signal.SIGHUP, before)
 
 
 def _children() -> set[str]:

@@ -26,6 +26,9 @@ OVERSHOOT = 0.15
 """How far a knee is driven beyond its limit, rad: one physics step at the largest speed (0.11),
 and what the contact solver leaves."""
 
+LANDING = 0.003
+"""How far a bar that falls onto its stop passes it for a tick, m: joint limits are soft."""
+
 needs_bullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is missing")
 KINDS = ("trainer", "modulated trainer", "walker", "fake")
 every_world = pytest.mark.parametrize(
@@ -502,11 +505,12 @@ def test_the_stop_holds_the_attachment(make: Make) -> None:
     """With the leg in the air the bar rests on its stop; a leg lifts it off, never below."""
     stop = PARAMS.trainer.stop_height
     resting = heights(make("trainer"), 200)
-    assert min(resting) > stop - 0.001
+    assert min(resting) > stop - LANDING
+    assert min(resting[8:]) > stop - 0.001
     assert resting[100:] == pytest.approx([stop] * 100, abs=0.001)
     lifted = heights(make("trainer"), 60, knee_speed=-2.8)
-    assert min(lifted) > stop - 0.001
-    assert max(lifted) > stop + 0.04
+    assert min(lifted) > stop - LANDING
+    assert max(lifted) > stop + 0.03
 
 
 @needs_bullet

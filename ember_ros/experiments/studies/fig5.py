@@ -278,9 +278,9 @@ def _causes(found: Found) -> list[str]:
         )
     most = f"at most {EVEN:.0%} of the mean"
     return [
-        "What makes them even: `ember` as it is, and with numbers of its training as they were "
-        "before, or as the paper has them. A foot that is down in the last tick of its swing, "
-        "while the hip still swings forward, brakes the bar, and the step is short:",
+        "What the numbers do: `ember` as it is, and with numbers of its training as they were "
+        "before, or as the paper has them. The last column tells how often the foot is down while "
+        "the hip still swings forward, as `reward.lead` allows it, which brakes the bar:",
         "",
         *words.grid(
             (
