@@ -105,7 +105,7 @@ def document(folder: Path) -> str:
         "are many claims and no correction for that. Trainings have the seeds 0, 1, ..., the walks "
         f"with their tables {OTHER_SEED}, {OTHER_SEED + 1}, ....",
         "",
-        "**Seeds.** The numbers of `ember` were found on training seeds 0 to 9, mostly in the "
+        "**Seeds.** The numbers of `ember` were found on training seeds 0 to 19, mostly in the "
         f"narrow body; no number was chosen on seeds from {walker.HELD_OUT} on, which walk in "
         "the reference body. The frontier has no held-out seeds.",
         "",

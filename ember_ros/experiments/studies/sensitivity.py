@@ -29,7 +29,7 @@ SWEEPS = (
     Sweep("walker__twist_amplitude", "twist, rad", (0.0, 0.05, 0.10, 0.15)),
     Sweep("walker__twist_phase", "phase of the twist, cycles", (0.125, 0.375, 0.625, 0.875)),
     Sweep("leg__operating_height", "operating height, m", (0.43, 0.45, 0.46), True),
-    Sweep("trainer__stop_height", "trainer's stop, m", (0.41, 0.42, 0.43, 0.44), True),
+    Sweep("trainer__stop_height", "trainer's stop, m", (0.40, 0.41, 0.42, 0.43), True),
     Sweep("gait__stance_share", "share of stance", (THREE_TO_TWO, 22 / TICKS, THREE_TO_ONE), True),
     Sweep("physics__friction", "friction", (0.4, 0.7, 1.0), True),
     Sweep("walker__hip_half_width", "half width of the hips, m", (0.10, 0.14, 0.22, 0.35)),
