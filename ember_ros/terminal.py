@@ -62,7 +62,7 @@ class Terminal(Console):
     @property
     def size(self) -> ConsoleDimensions:
         """Return columns and lines; where there is no terminal, no line and no path is broken."""
-        if self.is_terminal or "COLUMNS" in os.environ:
+        if self.is_terminal:
             return super().size
         return ConsoleDimensions(WIDE, super().size.height)
 

@@ -68,7 +68,6 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Go:
     The exit code must be the one that is given, or any but 0 for None.
     """
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
 
     def go(*words: Any, code: int | None = 0) -> str:
         typed = [str(word) for word in words]
@@ -674,7 +673,6 @@ def test_replay_on_the_graph(
 ) -> None:
     """Real leg nodes, table node and CPG node: the same bits, the same words."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain))
-    monkeypatch.setenv("COLUMNS", "200")
     words = ["replay", str(walked.bag), "--on", "graph"]
     main.main(words, prog_name="ember", standalone_mode=False)  # rclpy wants a real stderr
     text = words_of(capfd.readouterr().out)
