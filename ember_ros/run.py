@@ -331,7 +331,7 @@ def need_ros() -> None:
     """Import ROS, for the sake of the error.
 
     Raises:
-        MissingError: it is not here.
+        ParameterError: it is not here.
     """
     try:
         import rclpy  # noqa: F401

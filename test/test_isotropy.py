@@ -61,6 +61,7 @@ def test_a_walker_keeps_its_heading_when_it_falls() -> None:
             world.step(tick / PARAMS.gait.ticks, [None] * 4)
         assert world.body().falls == 1
         world.step(1.0, [None] * 4)
+        # It stands for a tick, and its twist turns it a little.
         assert world.body().yaw == pytest.approx(2.0, abs=0.05)
     finally:
         world.close()

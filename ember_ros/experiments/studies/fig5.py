@@ -65,7 +65,7 @@ def arms(size: Size) -> list[Arm]:
 
 
 def back(name: str) -> str:
-    """Return the learner of an arm in which one number is what it was."""
+    """Return the learner of an arm whose training has numbers of ``BACK``."""
     return f"ember, {name}"
 
 
@@ -259,7 +259,7 @@ def text(found: Found) -> list[str]:
 
 
 def _causes(found: Found) -> list[str]:
-    """Say what makes steps even: `ember` with one number of its training taken back."""
+    """Say how even steps are by `ember`, and with numbers of its training taken back."""
     lines = []
     for learner in ("ember", *map(back, BACK)):
         last = found["curves"][f"{learner}/fixed/even_last"]

@@ -26,7 +26,7 @@ DEGREE = 4
 """Of the trend, as in the paper."""
 ANGLES = ("roll", "pitch")
 STAND, SLACK, ENOUGH, LOWER = 0.9, 0.01, 0.75, 0.8
-"""What is our target: shares of walkers that never fall, of steps outside, of the scripted way, and
+"""Our targets: shares of walkers that never fall, of steps outside, of the scripted way, and
 of walkers that are steadier at the end."""
 
 
