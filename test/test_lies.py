@@ -79,7 +79,7 @@ def test_the_campaign_sees_what_goes_wrong(tmp_path: Path, monkeypatch: pytest.M
     source.write_text("whole")
     monkeypatch.setattr(mutate, "LIMIT_S", 0.5)
     monkeypatch.setattr(mutate, "LIMIT_MB", 30.0)
-    before = mutate.signal.signal(mutate.signal.SIGALRM, mutate._too_slow)
+    before = mutate.signal.signal(mutate.signal.SIGPROF, mutate._too_slow)
     try:
         for name, (read, says) in bad.items():
             reader = mutate.Reader("file", lambda *_: None, read)
@@ -88,7 +88,7 @@ def test_the_campaign_sees_what_goes_wrong(tmp_path: Path, monkeypatch: pytest.M
             outcome, _, said = mutate.one(name, 0, source.parent, tmp_path / name)
             assert (outcome, says in said) == ("failed", True), said
     finally:
-        mutate.signal.signal(mutate.signal.SIGALRM, before)
+        mutate.signal.signal(mutate.signal.SIGPROF, before)
 
 
 # -- whole bags ----------------------------------------------------------------------------------
