@@ -8,6 +8,7 @@ learners that come with the package are measured so too, by the CPU time of all 
 from __future__ import annotations
 
 import itertools
+import json
 import statistics
 import tempfile
 import time
@@ -324,3 +325,11 @@ def page(found: dict[str, Any], command: str) -> str:
         "|---|---|",
     ]
     return "\n".join([*head, *(f"| {name} | {figure} |" for name, figure in lines(found))]) + "\n"
+
+
+def write(found: dict[str, Any], out: Path, command: str) -> list[str]:
+    """Write the page and the numbers into a folder, and return the names of the files."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "bench.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    (out / "bench.md").write_text(page(found, command), encoding="utf-8")
+    return ["bench.md", "bench.json"]

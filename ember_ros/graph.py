@@ -24,8 +24,11 @@ from ember_ros.params_file import dump_params
 from ember_ros.plan import Plan
 from ember_ros.seat import TAKEN, Seat, TakenError, domain, make_sure, run_seat
 from ember_ros.spinning import TURN_S, prepare_environment
+from leg_node.table_file import load_table
 
 if TYPE_CHECKING:
+    from ember_ros.bag.replay import RecordedWorld
+    from leg_node.table import Table
     from sim_node.world import World
 
 PATIENCE_S = 60.0
@@ -201,6 +204,31 @@ class Graph:
         self._executor.shutdown()
         if self._own_context:
             self._context.try_shutdown()
+
+
+def by_graph(
+    plan: Plan,
+    world: RecordedWorld,
+    folder: Path,
+    go_on: Callable[[int], bool],
+    *,
+    namespace: str = "",
+) -> tuple[int, Table]:
+    """Run a plan in a recorded world by real leg nodes, a table node and a CPG node.
+
+    It is a ``Runner`` of ``ember_ros.bag.replay``, in any namespace.
+
+    Raises:
+        EmberError: as ``Graph``.
+    """
+    graph = Graph(plan, folder, world=world, namespace=namespace)
+    graph.sim.observers.append(world)
+    try:
+        graph.run(lambda: go_on(graph.sim.tick))
+        done = graph.sim.tick
+    finally:
+        graph.close()
+    return done, load_table(folder / "table.npz", plan.params)[0]
 
 
 # -- one process a node ----------------------------------------------------------------------

@@ -7,12 +7,13 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import IO, Any
 
 from rich.console import Console, ConsoleDimensions
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from ember_ros.spinning import let_go_of_terminal
 
@@ -92,11 +93,22 @@ def typed() -> str:
     return command.encode("utf-8", "backslashreplace").decode()
 
 
-def say_all_paths() -> None:
-    """Have what an encoding has no letters for spelt out: a path may be anything."""
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")
+def grid(rows: Iterable[Sequence[Any]], columns: str = "ll", heads: Sequence[str] = ()) -> Table:
+    """Return what is printed as rows of columns.
+
+    Args:
+        rows: a value a column each.
+        columns: a letter a column: ``l`` is of words, to the left; ``r`` of numbers, to the right,
+            which are never broken.
+        heads: what stands above the columns; nothing for none.
+    """
+    table = Table(show_header=bool(heads), box=None, padding=(0, 2, 0, 0))
+    for head, side in zip(heads or [""] * len(columns), columns, strict=True):
+        number = side == "r"
+        table.add_column(head, justify="right" if number else "left", no_wrap=number)
+    for row in rows:
+        table.add_row(*map(str, row))
+    return table
 
 
 @contextmanager

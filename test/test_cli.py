@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ import yaml
 
 from ember_ros import terminal
 from ember_ros.cli import main
+from ember_ros.cli.ember import COMMANDS
 from ember_ros.params import Params
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.report.recorder import Row, load_record
@@ -86,6 +88,31 @@ def test_help_tells_what_each_option_does(run: Run, verb: str) -> None:
     if verb in ("train", "walk", "demo", "bench", "experiment"):
         assert "--out" in text
         assert "default: out/" in words
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_list_says_of_a_command_what_its_own_help_says_first(run: Run, name: str) -> None:
+    """The list imports no command: what it says stands in a table, and each command says it too."""
+    listed = " ".join(run("--help").split())
+    assert f" {name} {COMMANDS[name].says}" in listed
+    own = run(name, "--help").split("\n\n")[1]
+    assert " ".join(own.split()) == COMMANDS[name].says
+
+
+def test_ctrl_c_before_a_command_listens_is_one_of_a_command(run: Run) -> None:
+    """While what it needs is imported as well: the code of Ctrl-C, and no traceback."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "ember_ros.cli.params", Interrupts("params"))
+        assert run("params", code=130).strip() == ""
+
+
+class Interrupts(ModuleType):
+    """A module that Ctrl-C finds at its beginning."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.endswith("_command"):
+            raise KeyboardInterrupt
+        raise AttributeError(name)
 
 
 @pytest.mark.parametrize("way", ["loop", "graph", "processes"])

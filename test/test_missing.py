@@ -69,11 +69,18 @@ def without(
 )
 def test_ember_names_the_library_it_lacks(library: str, pip: str, apt: str) -> None:
     """One line with both ways to get it, and the code of a user's mistake; no traceback."""
-    done = without(library, RUN, "ember_ros", "--help")
+    done = without(library, RUN, "ember_ros", "train")
     assert done.returncode == 2
     assert done.stderr == (
         f"error: {library} is not installed: `pip install {pip}` or `sudo apt install {apt}`\n"
     )
+
+
+def test_the_help_of_ember_needs_click_alone() -> None:
+    """So that it is there at once: no command is imported, and nothing that one needs."""
+    done = without("rich,numpy,yaml,matplotlib,mcap", RUN, "ember_ros", "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Let four legs carry a body, still learning." in done.stdout
 
 
 @pytest.mark.parametrize("node", ["sim", "leg", "cpg", "table", "recorder"])

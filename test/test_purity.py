@@ -30,10 +30,8 @@ ROS = {
 LAZY = {
     "ember_ros.graph",
     "ember_ros.spinning",
-    "ember_ros.cli",
     "ember_ros.run",
-    "ember_ros.cli_bags",
-    "ember_ros.bag.replay",
+    "ember_ros.cli.replay",
     "ember_ros.topics",
     "ember_ros.wire",
 }
@@ -132,7 +130,7 @@ def test_only_nodes_and_bags_import_what_is_wired() -> None:
     wired = {"ember_ros.topics", "ember_ros.wire", "ember_ros.calls", "ember_ros.ros_params"}
     users = {name for name in SOURCES if wired & set(imports(name))}
     others = {name for name in users - ROS - MEASURES if not name.startswith("ember_ros.bag.")}
-    assert others == {"ember_ros.wire", "ember_ros.cli_bags"}
+    assert others == {"ember_ros.wire"}
 
 
 def test_only_assemblies_import_nodes() -> None:

@@ -17,9 +17,10 @@ from ember_ros.bag.card import Card
 from ember_ros.bag.reading import Bag, Raw
 from ember_ros.bag.recording import Recording, absolute
 from ember_ros.bag.relearn import relearn
-from ember_ros.bag.replay import Difference, Replayed, replay, verdict
+from ember_ros.bag.replay import Difference, Replayed, by_loop, replay, verdict
 from ember_ros.bag.storage import BagOptions, BagWriter, read_metadata
 from ember_ros.errors import BagError, ParameterError
+from ember_ros.graph import by_graph
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
 from ember_ros.plan import Plan
@@ -98,10 +99,13 @@ def record(folder: Path, plan: Plan, *, extra: int = 0, world: World | None = No
         loop.close()
 
 
+WAYS = {"loop": by_loop, "graph": by_graph}
+
+
 def again(bag: Path, on: str = "loop") -> Replayed:
     """Replay a bag."""
     with Bag(bag) as opened:
-        return replay(opened, on=on)
+        return replay(opened, run=WAYS[on])
 
 
 @functools.cache
@@ -888,7 +892,7 @@ def test_the_bag_that_comes_with_the_package_is_replayed(on: str) -> None:
     """Recorded by another process, at another time: every command and the table come out equal."""
     with Bag(KEPT) as bag:
         assert bag.damages == []
-        done = replay(bag, on=on)
+        done = replay(bag, run=WAYS[on])
     assert done.equal
     assert done.recorded_sha256 == done.table.sha256()
     assert done.cycles >= 20

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import csv
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +124,92 @@ def info(bag: Bag) -> tuple[dict[str, Any], list[Row]]:
 
 PROVENANCE = ("date", "planned_cycles", "cpu", "system", "simd", "blas", "commit")
 """What ``custom_data`` tells of where and when a bag was recorded."""
+
+CYCLE_HEADS = ("module", "reward", "contact", "peak N", "slip m", "distance m", "falls")
+"""Of what ``cycles_told`` returns, behind the cycle or the count of cycles."""
+
+
+def told(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return what ``info`` found, but for the cycles, as pairs of a name and what is to be said."""
+    files = found.get("files", {})
+    lines = [("bag", found["bag"])]
+    if files:
+        count = "1 file" if len(files) == 1 else f"{len(files)} files"
+        size = sum(files.values()) / 1e6
+        lines.append(("storage", f"{found['storage']}, {count}, {size:.2f} MB"))
+    lines += [
+        ("robot", f"{found['namespace']}, {found['world']}"),
+        (
+            "ticks",
+            f"{found['ticks']} from {found['first_tick']} on: {found['seconds']:g} s, "
+            f"{found['cycles']:g} cycles",
+        ),
+        ("messages", f"{sum(found['messages'].values())} on {len(found['messages'])} topics"),
+        ("falls", str(found["falls"])),
+        ("distance", f"{found['distance_m']:.3f} m"),
+        ("lost ticks", str(found["lost_ticks"])),
+    ]
+    lines += [("  gap", f"ticks {first} to {last}") for first, last in found["gaps"]]
+    for key, what in (("senses", "whole senses"), ("command", "a command")):
+        lines += [
+            (f"  {leg}", f"{n} ticks without {what}")
+            for leg, n in found[f"ticks_without_{key}"].items()
+        ]
+    lines += [("  damaged", damage_told(each["tick"], each["leg"])) for each in found["damaged"]]
+    provenance = found.get("provenance", {})
+    lines += [(name.replace("_", " "), each) for name, each in provenance.items()]
+    card = found.get("card")
+    if card is None:
+        lines.append(("run", "not told: made by another recorder, cannot be replayed"))
+    else:
+        kinds = {json.dumps(each, sort_keys=True) for each in card["legs"].values()}
+        for each in map(json.loads, sorted(kinds)):
+            said = ", ".join(f"{name} {value}" for name, value in each.items())
+            lines.append(("legs", said))
+        lines.append(("versions", ", ".join(f"{k} {v}" for k, v in card["versions"].items())))
+        lines.append(("parameters SHA-256", card["params_sha256"][:12]))
+        lines.append(("table SHA-256, start", (card["start_table_sha256"] or "not known")[:12]))
+    if found["table_sha256"]:
+        lines.append(("table SHA-256, end", found["table_sha256"][:12]))
+    return lines
+
+
+def damage_told(tick: int, leg: str) -> str:
+    """Return what is to be said of senses whose CRC is not the recorded one."""
+    return f"tick {tick}, {leg}: senses are not those that were recorded"
+
+
+def cycles_told(rows: Sequence[Row], *, whole: bool) -> list[tuple[str, ...]]:
+    """Return a line a module over all cycles, or a line a cycle and module, as text.
+
+    Args:
+        rows: of ``info``.
+        whole: whether every cycle has lines of its own.
+    """
+    if whole:
+        return [(str(row.cycle), *_over([row])) for row in rows]
+    groups = [
+        [row for row in rows if row.module == module]
+        for module in dict.fromkeys(row.module for row in rows)
+    ]
+    return [(str(len(group)), *_over(group)) for group in groups]
+
+
+def _over(group: Sequence[Row]) -> tuple[str, ...]:
+    """Return what some cycles of one module came to, in the order of ``CYCLE_HEADS``."""
+    n = len(group)
+    body = group[0].falls is not None
+    return (
+        group[0].module,
+        f"{sum(row.reward for row in group) / n:.3f}",
+        f"{sum(row.contact_share for row in group) / n:.0%}",
+        f"{max(row.peak_force_n for row in group):.0f}",
+        f"{sum(row.slip_m for row in group):.3f}",
+        f"{sum(row.distance_m or 0.0 for row in group):.3f}" if body else "",
+        str(sum(row.falls or 0 for row in group)) if body else "",
+    )
+
+
 TICK_COLUMNS = (
     "tick",
     "time_s",

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from typing import Any
 
+import rclpy
 from rclpy.exceptions import InvalidTopicNameException
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool
 
 from ember_ros import topics
@@ -25,6 +29,8 @@ NOT_PLAYED = ("/rosout", "/parameter_events")
 """What `ros2 bag record --all` records too, and every node that runs publishes itself."""
 SHORTEST_S, LONGEST_S = 0.001, 0.05
 """Wall time between two looks at what is due: about a tick, within these."""
+LOOK_S = 1.0
+"""Wall time that a player looks whether somebody else is on the topics."""
 
 
 class PlayerNode(Node):  # type: ignore[misc]
@@ -189,3 +195,42 @@ class PlayerNode(Node):  # type: ignore[misc]
         super().destroy_node()
         for seat in self._seats:
             seat.leave()
+
+
+@contextmanager
+def playing(
+    bag: Bag, go_on: Callable[[], bool], **options: Any
+) -> Iterator[tuple[PlayerNode, Callable[[], None]]]:
+    """Make a player, paused, on a graph where nobody else says what it will say.
+
+    Args:
+        bag: an open one.
+        go_on: whether to go on looking for others.
+        **options: go to ``PlayerNode``.
+
+    Yields:
+        The player, and what spins it for a turn of at most ``LONGEST_S``.
+
+    Raises:
+        BagError: as ``PlayerNode``, or a robot on the graph says one of the topics.
+    """
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = None
+    try:
+        node = PlayerNode(bag, paused=True, **options)
+        executor = EventsExecutor()
+        executor.add_node(node)
+        deadline = time.monotonic() + LOOK_S
+        while time.monotonic() < deadline and go_on():
+            executor.spin_once(timeout_sec=LONGEST_S)
+        if others := node.others():
+            raise BagError(
+                f"a robot is running here: {', '.join(others[:3])} and the like are published by "
+                "others, who would take the recorded ones for theirs; stop it, or play in another "
+                "ROS_DOMAIN_ID"
+            )
+        yield node, lambda: executor.spin_once(timeout_sec=LONGEST_S)
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()

@@ -258,6 +258,10 @@ class Bag:
         connection = self.connections.get(self._name(topic))
         return 0 if connection is None else int(connection.msgcount)
 
+    def phases(self) -> int:
+        """Return how many phases are in the bag: it has no more ticks than these."""
+        return self.messages(topics.PHASE)
+
     def raw(self, start_ns: int = 0) -> Iterator[Raw]:
         """Yield all messages of all topics from a time on, in the order of their times.
 

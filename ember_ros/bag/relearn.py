@@ -7,18 +7,25 @@ table comes out that was learnt then, and with others the one that would have be
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ember_ros.bag.reading import Bag
-from ember_ros.errors import BagError
+from ember_ros.errors import BagError, ParameterError
 from ember_ros.loop import act, hand_in
 from ember_ros.params import Params, as_dict, cells_sha256, replace
+from ember_ros.params_file import dump_params
 from ember_ros.signals import LegCommand, LegSense, Phase
 from leg_node.module import LegModule
 from leg_node.shared import SharedTable
 from leg_node.table import Table, empty_table
+from leg_node.table_file import save_table
+
+TABLE, PARAMS, TOLD = "table.npz", "params.yaml", "relearn.json"
+LEFT = (TABLE, PARAMS, TOLD)
+"""What is written into a folder, and replaced by the next one there."""
 
 
 class Relearnt(NamedTuple):
@@ -33,6 +40,11 @@ class Relearnt(NamedTuple):
     skipped: int
     """Ticks of single legs that had no whole senses, or no command."""
     falls: int
+
+    @property
+    def visited(self) -> int:
+        """Return how many cells of the table were updated."""
+        return int((self.table.visits > 0).sum())
 
 
 class _Told:
@@ -149,3 +161,69 @@ def _check(bag: Bag, params: Params) -> None:
                     f"from with {now[group][name]}: what was sensed and done would mean something "
                     "else; reward.*, state.*, train.* and walk.* may be changed"
                 )
+
+
+def short_forms(
+    params: Params, stage: str, *, alpha: float | None, gamma: float | None, bins: int | None
+) -> dict[str, Any]:
+    """Return the changes that stand behind short names.
+
+    Args:
+        params: that they are changes to.
+        stage: which learning numbers hold.
+        alpha: least learning rate; a constant rate stays one. Unchanged for None, as all here.
+        gamma: discount a tick.
+        bins: of the hip's range.
+    """
+    changes = {f"{stage}.alpha_floor": alpha, f"{stage}.gamma": gamma, "state.hip_bins": bins}
+    rate = params.walk.rate if stage == "walk" else params.train.rate
+    if alpha is not None and (alpha > rate.ceiling or rate.floor == rate.ceiling):
+        changes[f"{stage}.alpha_ceiling"] = alpha
+    return {name: value for name, value in changes.items() if value is not None}
+
+
+def refuse_to_replace(out: Path) -> None:
+    """Hold that ``write`` would replace nothing in a folder, of which there may be none yet.
+
+    Raises:
+        ParameterError: it holds what an earlier one left.
+    """
+    kept = [name for name in (TABLE, TOLD) if (out / name).exists()]
+    if kept:
+        raise ParameterError(
+            f"{out} holds {', '.join(kept)} already; give another --out, or --force to replace it"
+        )
+
+
+def write(learnt: Relearnt, out: Path, asked: Mapping[str, Any]) -> None:
+    """Write the table, its parameters, and what was asked for with what came of it.
+
+    Args:
+        learnt: what was learnt.
+        out: a folder, made if need be.
+        asked: what was asked for, as plain values.
+    """
+    found = {
+        **asked,
+        "ticks": learnt.ticks,
+        "updates": learnt.updates,
+        "skipped": learnt.skipped,
+        "falls": learnt.falls,
+        "cells_visited": learnt.visited,
+        "cells": len(learnt.table),
+        "table_sha256": learnt.table.sha256(),
+    }
+    save_table(out / TABLE, learnt.table, learnt.params, 0, {"relearnt": found})
+    (out / PARAMS).write_text(dump_params(learnt.params), encoding="utf-8")
+    (out / TOLD).write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+
+
+def told(learnt: Relearnt) -> list[tuple[str, str]]:
+    """Return what was learnt as pairs of a name and what is to be said of it."""
+    return [
+        ("ticks", f"{learnt.ticks}, {learnt.falls} falls among them"),
+        ("updates", str(learnt.updates)),
+        ("skipped", f"{learnt.skipped} ticks of single legs without senses or command"),
+        ("cells visited", f"{learnt.visited} of {len(learnt.table)}"),
+        ("table SHA-256", learnt.table.sha256()[:12]),
+    ]

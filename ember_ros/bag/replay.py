@@ -1,6 +1,6 @@
-"""Runs a recorded run again: fresh legs in a world that only shows what was sensed.
+"""Runs a recorded run again: fresh legs in a world that only shows what was sensed. Pure.
 
-Pure, but for the graph, which is imported when it is asked for.
+Who runs them is given: the loop, or what knows of nodes (``ember_ros.graph.by_graph``).
 """
 
 from __future__ import annotations
@@ -11,15 +11,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ember_ros import topics
 from ember_ros.bag.reading import Bag, Tick
 from ember_ros.errors import BagError
+from ember_ros.loop import Loop
 from ember_ros.plan import Plan
 from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
 from leg_node.table import Table
-from leg_node.table_file import load_table, save_table
+from leg_node.table_file import save_table
 
-WAYS = ("loop", "graph")
+GoOn = Callable[[int], bool]
+"""Told how many ticks are done; says whether to go on."""
 
 
 class Difference(NamedTuple):
@@ -247,21 +248,32 @@ def verdict(parts: Mapping[str, bool | None], *, whole: bool = True) -> str:
     return f"Verdict: {told}{means}."
 
 
+Runner = Callable[[Plan, RecordedWorld, Path, GoOn], tuple[int, Table]]
+"""Runs a plan in a recorded world until the record is over or it is told no. It may write into the
+folder, and returns how many ticks it ran and the table in the end."""
+
+
+def by_loop(plan: Plan, world: RecordedWorld, folder: Path, go_on: GoOn) -> tuple[int, Table]:
+    """Run a plan in a recorded world without ROS; a ``Runner``."""
+    loop = Loop(plan, world)
+    while not world.over and go_on(loop.now):
+        loop.tick(world)
+    return loop.now, loop.finish()
+
+
 def replay(
     bag: Bag,
     *,
-    on: str = "loop",
+    run: Runner = by_loop,
     rate: float = 0.0,
-    namespace: str = "",
-    go_on: Callable[[int], bool] = lambda ticks: True,
+    go_on: GoOn = lambda ticks: True,
 ) -> Replayed:
     """Replay a bag.
 
     Args:
         bag: an open one.
-        on: ``loop``, or ``graph`` for real leg nodes, a table node and a CPG node.
+        run: who runs it.
         rate: times real time; as fast as can be for 0.
-        namespace: of the nodes on the graph.
         go_on: told how many ticks are done; says whether to go on.
 
     Raises:
@@ -288,13 +300,9 @@ def replay(
         start = folder / "start.npz"
         save_table(start, bag.table, bag.params, 0)
         # The world ends where the record does; there are no more cycles than phases.
-        plan = bag.card.plan(bag.messages(topics.PHASE), start)
+        plan = bag.card.plan(bag.phases(), start)
         began = time.perf_counter()
-        done, table = (
-            _by_loop(plan, world, go_on)
-            if on == "loop"
-            else _by_graph(plan, world, folder, namespace, go_on)
-        )
+        done, table = run(plan, world, folder, go_on)
         seconds = time.perf_counter() - began
     damages = [each for each in bag.damages if each.tick < done]
     recorded_sha256 = bag.table_sha256 if world.over and not world.missing else None
@@ -330,25 +338,27 @@ def replay(
     )
 
 
-def _by_loop(plan: Plan, world: RecordedWorld, go_on: Callable[[int], bool]) -> tuple[int, Table]:
-    from ember_ros.loop import Loop
+def told(done: Replayed, tick_s: float) -> list[tuple[str, str]]:
+    """Return what a replay came to as pairs of a name and what is to be said of it.
 
-    loop = Loop(plan, world)
-    while not world.over and go_on(loop.now):
-        loop.tick(world)
-    return loop.now, loop.finish()
-
-
-def _by_graph(
-    plan: Plan, world: RecordedWorld, folder: Path, namespace: str, go_on: Callable[[int], bool]
-) -> tuple[int, Table]:
-    from ember_ros.graph import Graph
-
-    graph = Graph(plan, folder, world=world, namespace=namespace)
-    graph.sim.observers.append(world)
-    try:
-        graph.run(lambda: go_on(graph.sim.tick))
-        done = graph.sim.tick
-    finally:
-        graph.close()
-    return done, load_table(folder / "table.npz", plan.params)[0]
+    Args:
+        done: the replay.
+        tick_s: of the gait, s.
+    """
+    faster = done.ticks * tick_s / done.seconds if done.seconds else 0.0
+    lines = [
+        ("ticks", f"{done.ticks} ({done.cycles:g} cycles), {faster:.0f} times real time"),
+        ("commands", f"{done.compared} held against the record"),
+    ]
+    lines += [(leg, f"{n} ticks without a recorded command") for leg, n in done.unanswered.items()]
+    sha256 = done.table.sha256()
+    if done.stopped:
+        known = "not compared: stopped before the end"
+    elif done.recorded_sha256 is None:
+        known = "the run's own was not recorded"
+    elif done.recorded_sha256 == sha256:
+        known = "as recorded"
+    else:
+        known = f"recorded was {done.recorded_sha256[:12]}"
+    lines.append(("table SHA-256", f"{sha256[:12]}, {known}"))
+    return lines

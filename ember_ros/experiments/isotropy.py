@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ember_ros.experiments.lab import each_seed, go_on, run_all
-from ember_ros.experiments.study import Size, age, numbers, trained
+from ember_ros.experiments.study import Size, age, numbers, trained, write_page
 from ember_ros.experiments.trial import TABLE, code_sha256
 from ember_ros.experiments.words import Found, grid
 from ember_ros.loop import Loop
@@ -24,6 +24,7 @@ from ember_ros.report.figures import AMBER, BLUE, INK, canvas, save
 from ember_ros.report.recorder import Recorder
 from ember_ros.versions import versions
 
+NAME = "isotropy"
 AXES = ("world", "robot")
 """Whose axes friction has: the world's, as in Bullet, or the robot's, as here."""
 WALKERS = ("scripted", "trained")
@@ -251,7 +252,7 @@ def page(found: Found) -> str:
     lines = [
         "# The same in every direction",
         "",
-        *age(found, "isotropy"),
+        *age(found, NAME),
         f"Made by `{about['command']}`; every number below is written by it (`isotropy.json` holds "
         f"them all). Versions: {known}.",
         "",
@@ -324,3 +325,10 @@ def draw(found: Found, file: Path) -> None:
     axes[0, 0].set_ylim(0.0, 1.1 * max(max(slides[whose]["way_m"]) for whose in AXES))
     axes[0, 0].legend(frameon=False, loc="center")
     save(figure, file)
+
+
+def write(found: Found, folder: Path) -> list[str]:
+    """Write the page, the numbers and the figure, and return the names of the files."""
+    draw(found, folder / f"{NAME}.png")
+    write_page(NAME, found, page(found), folder)
+    return [f"{NAME}.md", f"{NAME}.json", f"{NAME}.png"]

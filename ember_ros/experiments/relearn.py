@@ -16,7 +16,7 @@ from typing import Any
 from ember_ros.bag.relearn import relearn
 from ember_ros.bag.storage import BagOptions
 from ember_ros.experiments.lab import each_seed, go_on
-from ember_ros.experiments.study import OTHER_SEED, age, numbers
+from ember_ros.experiments.study import OTHER_SEED, age, numbers, write_page
 from ember_ros.experiments.trial import LOW_M, TILT_RAD, code_sha256
 from ember_ros.experiments.words import Found
 from ember_ros.params import replace
@@ -25,6 +25,7 @@ from ember_ros.run import run
 from ember_ros.versions import versions
 from leg_node.table_file import save_table
 
+NAME = "relearn"
 CYCLES = 1000
 RECORDED = ("random", "scripted")
 SMOOTH = {"walk.smooth": 0.3, "walk.prior": 5.0}
@@ -113,7 +114,7 @@ def page(result: Found) -> str:
     lines = [
         "# Learnt again from bags",
         "",
-        *age(result, "relearn"),
+        *age(result, NAME),
         f"Made by `{about['command']}`; every number below is written by it "
         f"(`relearn.json` holds them all). Versions: {known}.",
         "",
@@ -165,3 +166,9 @@ def page(result: Found) -> str:
         "smoothed, an untried action counts a little less than its state as a whole.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def write(found: Found, folder: Path) -> list[str]:
+    """Write the page and the numbers, and return the names of the files."""
+    write_page(NAME, found, page(found), folder)
+    return [f"{NAME}.md", f"{NAME}.json"]
