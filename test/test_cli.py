@@ -340,6 +340,8 @@ def test_a_bad_parameter_file_is_said_in_one_line(run: Run, content: str, says: 
     ("words", "says"),
     [
         (("--cycles", -1), "cycles = -1 must be 0 or more"),
+        (("--bag", "b", "--split-s", "nan"), "'nan' is no finite number"),
+        (("--bag", "b", "--split-mb", "inf"), "'inf' is no finite number"),
         (("--seed", -1), "seed = -1: 0 to 9223372036854775807 would be right"),
         (("--params", "none.yaml"), "none.yaml"),
         (("--out", "/proc/ember"), "/proc/ember"),

@@ -681,7 +681,7 @@ def test_replay_on_the_graph(
     assert text.endswith("Equal, bit for bit.")
 
 
-@pytest.mark.parametrize("words", [("--on", "moon"), ("--rate", -1), ("--rate", "fast")])
+@pytest.mark.parametrize("words", [("--on", "moon"), ("--rate", -1), ("--rate", "nan")])
 def test_a_bad_option_of_replay_is_said(run: Go, walked: Made, words: Sequence[Any]) -> None:
     """Exit code 2 and its value."""
     text = run("replay", walked.bag, *words, code=2)
@@ -724,6 +724,8 @@ def test_relearn_with_the_same_numbers_learns_the_same(run: Go, walked: Made) ->
         (("--reward.slip", 2), {"reward.slip": 2.0}),
         (("--state.force_edges", "0.1,0.5"), {"state.force_edges": [0.1, 0.5]}),
         (("--bins", 5), {"state.hip_bins": 5}),
+        (("--set", "reward.slip=2.5"), {"reward.slip": 2.5}),
+        (("--set", "reward.slip=2.5", "--reward.slip", 3), {"reward.slip": 3.0}),
         (("--alpha", 0.5, "--gamma", 0.25), {"walk.alpha_floor": 0.5, "walk.gamma": 0.25}),
         (
             ("--stage", "train", "--alpha", 0.5, "--gamma", 0),
@@ -778,11 +780,14 @@ def test_relearn_does_not_replace_unasked(run: Go, walked: Made) -> None:
     run("relearn", walked.bag, "--out", "o")
     before = {file.name: file.read_bytes() for file in Path("o").iterdir()}
     said = mistake(run, "relearn", walked.bag, "--out", "o", "--gamma", 0.5)
-    assert "o holds table.npz, relearn.json already" in said
+    assert "o holds table.npz, params.yaml, relearn.json already" in said
     assert "--force" in said
     assert {file.name: file.read_bytes() for file in Path("o").iterdir()} == before
     run("relearn", walked.bag, "--out", "o", "--gamma", 0.5, "--force")
     assert relearnt(Path("o"))[1].walk.gamma == 0.5
+    Path("mine").mkdir()
+    Path("mine/params.yaml").write_text("mine")
+    assert "mine holds params.yaml already" in mistake(run, "relearn", walked.bag, "--out", "mine")
 
 
 @pytest.mark.parametrize(

@@ -188,7 +188,7 @@ def refuse_to_replace(out: Path) -> None:
     Raises:
         ParameterError: it holds what an earlier one left.
     """
-    kept = [name for name in (TABLE, TOLD) if (out / name).exists()]
+    kept = [name for name in LEFT if (out / name).exists()]
     if kept:
         raise ParameterError(
             f"{out} holds {', '.join(kept)} already; give another --out, or --force to replace it"

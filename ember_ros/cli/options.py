@@ -6,6 +6,7 @@ there.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -42,6 +43,17 @@ class _Folder(click.Path):
         if value == "":
             self.fail("'' names no folder; `.` is the one you are in", param, ctx)
         return super().convert(value, param, ctx)
+
+
+class FiniteRange(click.FloatRange):
+    """A number in a range; ``nan`` and ``inf`` are in none."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return the number."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is no finite number", param, ctx)
+        return number
 
 
 class _Namespace(click.ParamType):  # type: ignore[type-arg, unused-ignore]
@@ -84,7 +96,7 @@ def of_node(flag: str, *, also: str = "", **other: Any) -> Adds:
     elif option.choices:
         given["type"] = click.Choice(option.choices)
     elif isinstance(option.default, float):
-        given["type"] = click.FloatRange(float(LEAST[name]))
+        given["type"] = FiniteRange(float(LEAST[name]))
     return click.option(flag, **{**given, **other})
 
 

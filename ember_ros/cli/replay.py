@@ -18,7 +18,7 @@ from ember_ros.cli.keys import space
 from ember_ros.errors import BagError, ParameterError, no_ros
 from ember_ros.graph import by_graph
 from ember_ros.params import SPECS, Params, replace
-from ember_ros.params_file import changed, load_params
+from ember_ros.params_file import changed, load_params, read_settings
 from ember_ros.spinning import prepare_environment, stop_signals
 from ember_ros.terminal import console, grid, progress, typed
 from leg_node.table_file import load_table, save_table
@@ -35,7 +35,7 @@ def _rate(text: str, **more: Any) -> options.Adds:
     "loop",
     "loop: no ROS, fastest. graph: real leg nodes, table node and CPG node.",
 )
-@_rate("; 0: as fast as can be", type=click.FloatRange(0.0), default=0.0)
+@_rate("; 0: as fast as can be", type=options.FiniteRange(0.0), default=0.0)
 @options.robot("; with --on graph, of the nodes as well")
 @click.option(
     "--table", "table_file", type=options.FILE, help="Write its table here, into a new file."
@@ -98,10 +98,10 @@ def _robot(bag: Path, namespace: str | None, way: str) -> Bag:
 
 @click.command("play")
 @options.BAG
-@_rate("", type=click.FloatRange(0.0, min_open=True), default=1.0)
+@_rate("", type=options.FiniteRange(0.0, min_open=True), default=1.0)
 @click.option(
     "--start",
-    type=click.FloatRange(0.0),
+    type=options.FiniteRange(0.0),
     default=0.0,
     help="Simulated seconds to leave out.",
 )
@@ -228,10 +228,12 @@ def relearn_command(
     given = load_params(*params_files) if params_files else None
     with Bag(bags[0], namespace=namespace, params=given) as first:
         stage = stage or first.stage
-        base = changed(given or first.params, settings)
+        base = given or first.params
+    changes = dict(read_settings(settings))
     named = {name.replace("__", "."): value for name, value in numbers.items()}
-    changes = {name: value for name, value in named.items() if value is not None}
-    changes |= relearn.short_forms(base, stage, alpha=alpha, gamma=gamma, bins=bins)
+    changes |= {name: value for name, value in named.items() if value is not None}
+    base_set = changed(base, settings)
+    changes |= relearn.short_forms(base_set, stage, alpha=alpha, gamma=gamma, bins=bins)
     start = load_table(table, replace(base, changes))[0] if table else None
     total = passes * sum(_phases(bag, namespace, base) for bag in bags)
     with stop_signals() as stop, progress("learning", total) as update:
