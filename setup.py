@@ -30,14 +30,5 @@ setup(
         ("lib/ember_ros", sorted(glob("ember_ros/resource/lib/*"))),
     ],
     zip_safe=False,
-    entry_points={
-        "console_scripts": [
-            "ember = ember_ros.entry_points:ember",
-            "sim_node = ember_ros.entry_points:sim_node",
-            "leg_node = ember_ros.entry_points:leg_node",
-            "cpg_node = ember_ros.entry_points:cpg_node",
-            "table_node = ember_ros.entry_points:table_node",
-            "recorder_node = ember_ros.entry_points:recorder_node",
-        ]
-    },
+    entry_points={"console_scripts": ["ember = ember_ros.entry_points:ember"]},
 )

@@ -1,4 +1,4 @@
-"""The console scripts, so light that Ctrl-C is heard while everything else is imported.
+"""The console script, so light that Ctrl-C is heard while everything else is imported.
 
 What is not installed is named in one line, with how to get it.
 """
@@ -10,6 +10,15 @@ import os
 import sys
 
 from ember_ros.errors import PIP, MissingError, no_ros
+
+NODES = {
+    "sim_node": "sim_node.node",
+    "leg_node": "leg_node.node",
+    "cpg_node": "cpg_node.node",
+    "table_node": "leg_node.table_node",
+    "recorder_node": "ember_ros.bag.recorder_node",
+}
+"""The module of each node, by the name that ``ember node`` and ``ros2 run`` start it under."""
 
 
 def _call(module: str) -> None:
@@ -40,30 +49,20 @@ def _open_standard_streams() -> None:
 
 
 def ember() -> None:
-    """Run the command line."""
-    _call("ember_ros.cli")
+    """Run the command line, or a node without what only the command line needs."""
+    match sys.argv[1:]:
+        case ["node", name, *args] if name in NODES:
+            run_node(name, args)
+        case _:
+            _call("ember_ros.cli")
 
 
-def sim_node() -> None:
-    """Run the simulator."""
-    _call("sim_node.node")
+def run_node(name: str, args: list[str]) -> None:
+    """Run one of ``NODES`` in this process.
 
-
-def leg_node() -> None:
-    """Run a leg."""
-    _call("leg_node.node")
-
-
-def cpg_node() -> None:
-    """Run the central pattern generator."""
-    _call("cpg_node.node")
-
-
-def table_node() -> None:
-    """Run the table that legs share."""
-    _call("leg_node.table_node")
-
-
-def recorder_node() -> None:
-    """Run the recorder of bags."""
-    _call("ember_ros.bag.recorder_node")
+    Args:
+        name: of the node.
+        args: for the node and for rcl: ``--help``, or ``--ros-args`` and what follows.
+    """
+    sys.argv[1:] = args
+    _call(NODES[name])

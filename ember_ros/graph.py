@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from ember_ros.bag.storage import BagOptions
 from ember_ros.children import STOP_S, child_of
+from ember_ros.entry_points import NODES
 from ember_ros.errors import EmberError, GraphError
 from ember_ros.params import as_dict, by_full_name
 from ember_ros.params_file import dump_params
@@ -233,13 +234,6 @@ def by_graph(
 
 # -- one process a node ----------------------------------------------------------------------
 
-MODULES = {
-    "sim_node": "sim_node.node",
-    "cpg_node": "cpg_node.node",
-    "table_node": "leg_node.table_node",
-}
-LEG_MODULE = "leg_node.node"
-
 
 class Processes:
     """Each node of a plan in a process of its own, as seven ``ros2 run`` would start them."""
@@ -289,7 +283,7 @@ class Processes:
             raise
 
     def _start(self, name: str, options: dict[str, Any], params: Path, namespace: str) -> None:
-        command = [*child_of(MODULES.get(name, LEG_MODULE)), "--ros-args"]
+        command = [*child_of(NODES.get(name, NODES["leg_node"])), "--ros-args"]
         command += ["--params-file", str(params), "-r", f"__node:={name}"]
         if namespace:
             command += ["-r", f"__ns:=/{namespace.strip('/')}"]

@@ -14,11 +14,11 @@ import pytest
 
 from ember_ros import topics
 from ember_ros.bag.reading import Bag
+from ember_ros.entry_points import NODES
 
 if TYPE_CHECKING:
     from test.conftest import Ros
 
-NODES = ("sim_node", "leg_node", "cpg_node", "table_node", "recorder_node")
 ARGUMENTS = {
     "sim_node": ("-p", "world:=trainer"),
     "leg_node": ("-p", "leg:=leg", "-p", "stage:=train"),

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from ember_ros.entry_points import NODES
+
 ROOT = Path(__file__).resolve().parents[1]
 ROS = find_spec("rclpy") is not None
 
@@ -83,15 +85,22 @@ def test_the_help_of_ember_needs_click_alone() -> None:
     assert "Let four legs carry a body, still learning." in done.stdout
 
 
-@pytest.mark.parametrize("node", ["sim", "leg", "cpg", "table", "recorder"])
+@pytest.mark.parametrize("node", NODES)
 def test_a_node_says_that_ros_is_not_here(node: str) -> None:
     """Who installed without the extra ``ros`` reads one line, no traceback."""
-    done = without(
-        "rclpy", WALL + f"from ember_ros.entry_points import {node}_node as main; main()"
-    )
+    done = without("rclpy", RUN, "ember_ros", "node", node)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert line.startswith("error: ROS 2 is not here (No module named 'rclpy'): `pip install ")
+
+
+@pytest.mark.skipif(not ROS, reason="rclpy is missing")
+@pytest.mark.parametrize("node", NODES)
+def test_a_node_is_started_without_what_only_ember_needs(node: str) -> None:
+    """``ember node`` itself asks for nothing that the node does not."""
+    done = without("click,rich,matplotlib,scipy", RUN, "ember_ros", "node", node, "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"usage: {node} ")
 
 
 @pytest.mark.parametrize(
@@ -167,9 +176,8 @@ def test_a_command_whose_standard_streams_are_closed_runs(tmp_path: Path) -> Non
 
 @pytest.mark.skipif(not ROS, reason="rclpy is missing")
 def test_the_help_of_a_node_may_be_cut_off() -> None:
-    """``leg_node --help | head -1``: no traceback."""
-    code = "from ember_ros.entry_points import leg_node; leg_node()"
-    command = [sys.executable, "-c", code, "--help"]
+    """``ember node leg_node --help | head -1``: no traceback."""
+    command = [sys.executable, "-m", "ember_ros", "node", "leg_node", "--help"]
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     read, write = os.pipe()
     os.close(read)

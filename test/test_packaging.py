@@ -18,6 +18,8 @@ import pytest
 import setuptools
 
 import ember_ros
+from ember_ros import entry_points
+from ember_ros.entry_points import NODES
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -28,7 +30,6 @@ ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ROOT / "ember_ros" / "launch"
 CONFIG = ROOT / "ember_ros" / "config"
 WRAPPERS = ROOT / "ember_ros" / "resource" / "lib"
-NODES = ("cpg_node", "leg_node", "recorder_node", "sim_node", "table_node")
 
 # Names under which rosdep knows what pip and Python call otherwise.
 ROSDEP = {
@@ -147,23 +148,22 @@ def test_release_tools_can_bump_setup_py() -> None:
     assert len(literals) == 1
 
 
-def test_console_scripts_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> None:
-    """Both ways of installing give the same commands: `ember` and one for each node."""
+def test_ember_is_the_only_console_script(
+    pyproject: dict[str, Any], setup_py: dict[str, Any]
+) -> None:
+    """Both ways of installing put `ember` into a PATH, and no name that is not ours alone."""
     scripts = pyproject["project"]["scripts"]
     told = [re.split(r"\s*=\s*", line) for line in setup_py["entry_points"]["console_scripts"]]
-    assert dict(told) == scripts
-    assert set(scripts) == {"ember", *NODES}
+    assert dict(told) == scripts == {"ember": "ember_ros.entry_points:ember"}
+    assert callable(entry_points.ember)
 
 
-@pytest.mark.parametrize("script", ["ember", *NODES])
-def test_console_script_has_a_target(pyproject: dict[str, Any], script: str) -> None:
-    """The module of a console script exists and has the function, told without importing it."""
-    module, _, function = pyproject["project"]["scripts"][script].partition(":")
-    source = ROOT.joinpath(*module.split(".")).with_suffix(".py")
-    names = {
-        getattr(node, "name", None) for node in ast.parse(source.read_text(), str(source)).body
-    }
-    assert function in names
+@pytest.mark.parametrize("node", NODES)
+def test_node_has_a_main(node: str) -> None:
+    """The module of a node exists and has a ``main``, told without importing it."""
+    source = ROOT.joinpath(*NODES[node].split(".")).with_suffix(".py")
+    names = {getattr(each, "name", None) for each in ast.parse(source.read_text()).body}
+    assert "main" in names
 
 
 def test_packages_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> None:
@@ -214,13 +214,11 @@ def test_wrapper_is_executable(node: str) -> None:
 
 @pytest.mark.parametrize("linked", [False, True], ids=["copied", "linked"])
 @pytest.mark.parametrize("node", NODES)
-def test_wrapper_runs_the_console_script_of_its_prefix(
-    node: str, linked: bool, tmp_path: Path
-) -> None:
+def test_wrapper_runs_ember_of_its_prefix(node: str, linked: bool, tmp_path: Path) -> None:
     """Copied (pip, colcon) or linked (colcon --symlink-install), from a path with a space.
 
-    The wrapper becomes the console script, in the same process, so that a signal reaches the
-    node; every argument arrives unsplit.
+    The wrapper becomes `ember`, in the same process, so that a signal reaches the node; every
+    argument arrives unsplit.
     """
     prefix = tmp_path / "a prefix"
     wrapper = prefix / "lib" / "ember_ros" / node
@@ -230,7 +228,7 @@ def test_wrapper_runs_the_console_script_of_its_prefix(
     else:
         wrapper.write_bytes((WRAPPERS / node).read_bytes())
         wrapper.chmod(0o755)
-    script = prefix / "bin" / node
+    script = prefix / "bin" / "ember"
     script.parent.mkdir()
     script.write_text('#!/bin/sh\necho "$$"\nprintf "%s\\n" "$@"\n')
     script.chmod(0o755)
@@ -238,12 +236,13 @@ def test_wrapper_runs_the_console_script_of_its_prefix(
         [wrapper, "--ros-args", "-p", "out:=two words"], stdout=subprocess.PIPE, text=True
     )
     output, _ = process.communicate(timeout=10)
-    assert output.splitlines() == [str(process.pid), "--ros-args", "-p", "out:=two words"]
+    args = ["node", node, "--ros-args", "-p", "out:=two words"]
+    assert output.splitlines() == [str(process.pid), *args]
     assert process.returncode == 0
 
 
 def test_build_type(package_xml: ElementTree.Element) -> None:
-    """Colcon builds the package with setup.py; a setup.cfg would move the console scripts."""
+    """Colcon builds the package with setup.py; a setup.cfg would move the console script."""
     (export,) = package_xml.findall("export")
     assert text(export, "build_type") == "ament_python"
     assert package_xml.get("format") == "3"
@@ -278,8 +277,8 @@ def test_imports_are_declared(pyproject: dict[str, Any], package_xml: ElementTre
 def test_installed_prefix_is_complete(pyproject: dict[str, Any]) -> None:
     """The environment the tests run in, if one was named, holds what `ros2 run` looks for.
 
-    `make test` names .venv, so this proves that an editable install brings the marker and an
-    executable file for each node, each beside a console script of its name.
+    `make test` names .venv, so this proves that an editable install brings the marker, an
+    executable file for each node, and the `ember` that each of them runs.
     """
     prefixes = [Path(part) for part in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if part]
     marker = "share/ament_index/resource_index/packages/ember_ros"
@@ -290,4 +289,5 @@ def test_installed_prefix_is_complete(pyproject: dict[str, Any]) -> None:
         assert (prefix / place).is_file()
     for node in NODES:
         assert os.access(prefix / "lib" / "ember_ros" / node, os.X_OK)
-        assert os.access(prefix / "bin" / node, os.X_OK)
+    assert os.access(prefix / "bin" / "ember", os.X_OK)
+    assert not [node for node in NODES if (prefix / "bin" / node).exists()]

@@ -20,8 +20,9 @@ from rcl_interfaces.srv import GetParameters
 
 from ember_ros import topics
 from ember_ros.children import command_of
+from ember_ros.entry_points import NODES
 from ember_ros.errors import GraphError
-from ember_ros.graph import LEG_MODULE, MODULES, Graph, Processes, node_options, processes
+from ember_ros.graph import Graph, Processes, node_options, processes
 from ember_ros.params import Params, as_dict, replace
 from ember_ros.params_file import dump_params
 from ember_ros.plan import Plan
@@ -137,7 +138,7 @@ class Fleet:
 
     def start(self, name: str) -> None:
         """Start a process as ``ros2 run`` would."""
-        command = [sys.executable, "-m", MODULES.get(name, LEG_MODULE), "--ros-args"]
+        command = [sys.executable, "-m", NODES.get(name, NODES["leg_node"]), "--ros-args"]
         command += ["--params-file", str(self._params), "-r", f"__node:={name}"]
         for option, value in self.options[name].items():
             if value != "":
@@ -328,7 +329,7 @@ def test_a_second_process_of_a_name_does_not_join(fleet: Fleet, tmp_path: Path) 
     }
     seconds = {
         name: subprocess.Popen(
-            [*command_of(MODULES.get(name, LEG_MODULE)), "--ros-args", *arguments],
+            [*command_of(NODES.get(name, NODES["leg_node"])), "--ros-args", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -14,6 +14,7 @@ import click
 
 import ember_ros
 from ember_ros.cli.codes import INTERRUPTED
+from ember_ros.entry_points import NODES
 from ember_ros.errors import EmberError
 
 
@@ -34,6 +35,7 @@ COMMANDS = {
         "experiment",
         "Run an experiment over many seeds, two runs at once, and write what came of it.",
     ),
+    "node": Command("node", f"Start one node: {', '.join(NODES)}."),
     "params": Command("params", "Print every parameter, as a file to edit or as a list to read."),
     "play": Command("replay", "Publish a bag's topics again, for rviz, Foxglove, PlotJuggler."),
     "relearn": Command(

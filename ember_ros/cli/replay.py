@@ -50,8 +50,8 @@ def replay_command(
     if not; then the first difference is told.
 
     \b
-    ember replay bags/walk
-    ember replay bags/walk --on graph --rate 1
+    ember replay walk
+    ember replay walk --on graph --rate 1
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
     if table_file is not None and table_file.exists():
         raise ParameterError(f"{table_file} is there already; a new file would be right")
@@ -127,8 +127,8 @@ def play_command(
     (std_srvs/SetBool).
 
     \b
-    ember play bags/walk --rate 0.25
-    ember play bags/walk --live front_left   beside a leg_node of that name, -p shared:=false
+    ember play walk --rate 0.25
+    ember play walk --live front_left   beside a leg_node of that name, -p shared:=false
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
     prepare_environment()
     try:
@@ -219,7 +219,7 @@ def relearn_command(
     after bag in the order given. Numbers are those of the first bag, or those of --params.
 
     \b
-    ember relearn bags/walk --gamma 0.9 --reward.slip 2
+    ember relearn walk --gamma 0.9 --reward.slip 2
     ember relearn out/random*/bag --passes 5 --bins 25
     ember walk --table out/relearn/table.npz --params out/relearn/params.yaml
     """  # noqa: D301  click reads the backspace as: keep these lines as they are

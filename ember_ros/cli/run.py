@@ -87,6 +87,7 @@ def walk_command(**given: Any) -> None:
 
     \b
     ember walk --table out/train/table.npz   legs that a trainer has taught
+    ember walk --table trained               the same, with the table that comes with the package
     ember walk                               legs that know nothing yet
     ember walk --policy scripted             a knee written by hand
     ember walk --on processes --table ...    seven processes
