@@ -19,9 +19,9 @@ setup(
     python_requires=">=3.10",
     packages=find_packages(include=["ember_ros*", "sim_node*", "leg_node*", "cpg_node*"]),
     # Only what is named: launch files and wrappers go to share/ and lib/; parameter files are read
-    # by `ember` from the package, and by `ros2 run` from share/.
+    # by `ember` from the package, and by `ros2 run` from share/; data/ by both from the package.
     include_package_data=False,
-    package_data={"ember_ros": ["config/*.yaml"]},
+    package_data={"ember_ros": ["config/*.yaml", "data/*", "data/walk/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["ember_ros/resource/ember_ros"]),
         ("share/ember_ros", ["package.xml"]),

@@ -40,7 +40,7 @@ OPTIONS = {
     "policy": Option("learned", "how the knee is chosen", ("learned", "scripted", "random")),
     "learning": Option(True, "whether the leg learns"),
     "shared": Option(True, "whether the leg shares its table through the table services"),
-    "table": Option("", "table to start from, an .npz; '' for an empty one", path=True),
+    "table": Option("", "an .npz to start from, or `trained`; '' for an empty table", path=True),
     "save": Option(
         "", "where the table is written on exit and by table/save; '' for nowhere", path=True
     ),

@@ -21,6 +21,7 @@ import ember_ros
 from ember_ros.errors import TableError, shown
 from ember_ros.given import open_file, read_json
 from ember_ros.params import MOST_CELLS, Params, as_dict, by_full_name, cells_sha256, params_sha256
+from ember_ros.shipped import TABLE, shipped_table
 from leg_node.table import Table, empty_table
 
 MOST_SHOWN = 8
@@ -87,10 +88,15 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
 
     Nothing is unpacked before the file says that it has the size which ``params`` ask for.
 
+    Args:
+        file: its path, or the name of the one that comes with the package: ``trained``.
+        params: that are to be in force.
+
     Raises:
         TableError: the file is missing, is no table, is damaged, or its cells mean something
             else than ``params`` says.
     """
+    file = shipped_table(file)
     table = empty_table(params)
     try:
         with open_file(file, 16 * len(table) + MOST_ABOUT) as raw, zipfile.ZipFile(raw) as content:
@@ -110,7 +116,9 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
             table.values[:] = values.read().reshape(-1)
             table.visits[:] = visits.read().reshape(-1)
     except FileNotFoundError:
-        raise TableError(f"there is no table {file}; `ember train` makes one") from None
+        raise TableError(
+            f"there is no table {file}; `ember train` makes one, and {TABLE} comes with the package"
+        ) from None
     except TableError:
         raise
     except Exception as error:  # a foreign file makes numpy, zip and zlib raise nearly anything

@@ -51,6 +51,7 @@ from ember_ros.loop import Loop
 from ember_ros.observer import Observer
 from ember_ros.params import Params
 from ember_ros.plan import Plan
+from ember_ros.shipped import BAG, DATA
 from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Phase
 from leg_node.table import Table, empty_table
 from sim_node.fake import FakeWorld
@@ -1727,7 +1728,7 @@ def test_a_reader_in_javascript_agrees(
 
 def test_repairing_a_whole_bag_keeps_what_is_known_of_its_end(tmp_path: Path) -> None:
     """A bag that lacks nothing keeps the SHA-256 of its table; one that was cut does not."""
-    kept = Path(__file__).resolve().parents[1] / "bags" / "walk"
+    kept = DATA / BAG
     for name, cut in (("whole", 0), ("cut", 100_000)):
         folder = tmp_path / name / "walk"
         shutil.copytree(kept, folder)

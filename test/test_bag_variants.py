@@ -20,12 +20,13 @@ import yaml
 from ember_ros.bag.reading import Bag
 from ember_ros.bag.storage import INFORMATION, METADATA
 from ember_ros.errors import BagError
+from ember_ros.shipped import BAG, DATA
 
 pytestmark = pytest.mark.skipif(
     find_spec("rosbags") is None or find_spec("mcap") is None, reason="rosbags or mcap is missing"
 )
 
-WALK = Path(__file__).resolve().parents[1] / "bags" / "walk"
+WALK = DATA / BAG
 CYCLES_S = 1.0
 """So much of the walk is enough: two cycles."""
 NOON = 1_717_243_200_000_000_000

@@ -16,6 +16,8 @@ from typing import Any
 
 import pytest
 
+from ember_ros.shipped import BAG, DATA
+
 ROOT = Path(__file__).resolve().parents[1]
 
 pytestmark = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is missing")
@@ -133,7 +135,7 @@ def test_a_replay_needs_no_sine_of_the_c_library() -> None:
         "from pathlib import Path\n"
         "from ember_ros.bag.reading import Bag\n"
         "from ember_ros.bag.replay import replay\n"
-        f"with Bag(Path({str(ROOT / 'bags' / 'walk')!r})) as bag:\n"
+        f"with Bag(Path({str(DATA / BAG)!r})) as bag:\n"
         "    done = replay(bag)\n"
         "print(done.equal, done.ticks, done.table.sha256() == done.recorded_sha256)\n"
     )

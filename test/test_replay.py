@@ -25,6 +25,7 @@ from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
 from ember_ros.plan import Plan
 from ember_ros.run import run
+from ember_ros.shipped import BAG, DATA
 from ember_ros.signals import LEGS, LegCommand, LegSense
 from ember_ros.versions import versions
 from leg_node.gait import LegGait
@@ -884,7 +885,7 @@ def test_a_run_never_writes_over_a_bag(tmp_path: Path) -> None:
 
 # -- the bag that comes with the package -------------------------------------------------------
 
-KEPT = Path(__file__).resolve().parents[1] / "bags" / "walk"
+KEPT = DATA / BAG
 
 
 @pytest.mark.parametrize("on", ["loop", pytest.param("graph", marks=needs_ros)])

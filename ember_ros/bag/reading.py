@@ -24,6 +24,7 @@ from ember_ros.bag.window import LATE, Window
 from ember_ros.errors import BagError, EmberError, SignalError
 from ember_ros.params import Params
 from ember_ros.plan import WORLDS, legs_of, stage_of
+from ember_ros.shipped import shipped_bag
 from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
 from leg_node.table import Table, empty_table
 
@@ -80,15 +81,16 @@ class Bag:
         """Open a bag.
 
         Args:
-            path: its folder, or one file of it.
+            path: its folder, one file of it, or the name of the one that comes with the package:
+                ``walk``.
             namespace: of the robot; needed where the bag holds more than one.
             params: for a bag without a card, of another recorder; the defaults for None.
 
         Raises:
             BagError: it is missing, cut off, damaged, or of something else.
         """
-        self.path = path
-        self._files = _open(path)
+        self.path = shipped_bag(path)
+        self._files = _open(self.path)
         self.damages: list[Damage] = []
         """What the last pass of ``ticks`` found to be changed."""
         self.stale = 0

@@ -100,7 +100,7 @@ def of_node(flag: str, *, also: str = "", **other: Any) -> Adds:
     return click.option(flag, **{**given, **other})
 
 
-TABLE = of_node("--table", also=". Default: an empty one")
+TABLE = of_node("--table", also="; `trained` comes with the package. Default: an empty one")
 SEED = of_node("--seed", type=int)  # the plan says its range
 RECORD = together(
     of_node("--bag", also="; see `ember replay --help`"),
