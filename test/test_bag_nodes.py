@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from rclpy.node import Node
@@ -43,9 +43,7 @@ from leg_node.table_node import TableNode
 from sim_node import node as sim_module
 from sim_node.fake import FakeWorld
 from sim_node.node import SimNode
-
-if TYPE_CHECKING:
-    from test.conftest import Ros
+from support.ros import Ros
 
 pytestmark = pytest.mark.skipif(find_spec("rosbags") is None, reason="rosbags is missing")
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -29,9 +29,8 @@ from leg_node.table import empty_table
 from leg_node.table_file import save_table
 from leg_node.table_node import TableNode
 from sim_node.node import SimNode
-
-if TYPE_CHECKING:
-    from test.conftest import Bits, Ros
+from support.ros import Ros
+from support.runs import Bits
 
 CYCLES = 20
 TICKS = 32

@@ -8,16 +8,14 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
 from ember_ros import topics
 from ember_ros.bag.reading import Bag
 from ember_ros.entry_points import NODES
-
-if TYPE_CHECKING:
-    from test.conftest import Ros
+from support.ros import Ros
 
 ARGUMENTS = {
     "sim_node": ("-p", "world:=trainer"),

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import shutil
+import signal
 import sqlite3
 import struct
 import subprocess
@@ -23,6 +24,7 @@ if any(find_spec(name) is None for name in ("rosbags", "mcap", "rclpy")):
 import yaml
 import zstandard
 
+import mutate
 from ember_ros import wire
 from ember_ros.bag import guard
 from ember_ros.bag.guard import load_yaml
@@ -36,9 +38,6 @@ MUTATE = Path(__file__).parent / "mutate.py"
 MUTANTS = 400
 DEADLINE_S = 300.0
 """Wall time after which all mutants together are said to hang; they need a twentieth."""
-
-sys.path.insert(0, str(MUTATE.parent))
-import mutate  # noqa: E402
 
 # -- mutants -------------------------------------------------------------------------------------
 
@@ -79,7 +78,7 @@ def test_the_campaign_sees_what_goes_wrong(tmp_path: Path, monkeypatch: pytest.M
     source.write_text("whole")
     monkeypatch.setattr(mutate, "LIMIT_S", 0.5)
     monkeypatch.setattr(mutate, "LIMIT_MB", 30.0)
-    before = mutate.signal.signal(mutate.signal.SIGALRM, mutate._too_slow)
+    before = signal.signal(signal.SIGALRM, mutate._too_slow)
     try:
         for name, (read, says) in bad.items():
             reader = mutate.Reader("file", lambda *_: None, read)
@@ -88,7 +87,7 @@ def test_the_campaign_sees_what_goes_wrong(tmp_path: Path, monkeypatch: pytest.M
             outcome, _, said = mutate.one(name, 0, source.parent, tmp_path / name)
             assert (outcome, says in said) == ("failed", True), said
     finally:
-        mutate.signal.signal(mutate.signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, before)
 
 
 # -- whole bags ----------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import shutil
 from array import array
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,9 +35,7 @@ from leg_node.table import empty_table
 from leg_node.table_file import load_table, save_table
 from leg_node.table_node import TableNode
 from sim_node.node import FINISHED, SimNode
-
-if TYPE_CHECKING:
-    from test.conftest import Ros
+from support.ros import Ros
 
 NODES = (SimNode, CpgNode, LegNode, TableNode)
 NEEDED: dict[Any, dict[str, Any]] = {LegNode: {"leg": "rear_left"}}

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 import yaml
@@ -30,9 +30,8 @@ from ember_ros.report.recorder import load_record
 from ember_ros.seat import TAKEN, TakenError
 from ember_ros.signals import LEGS
 from leg_node.table_file import load_table
-
-if TYPE_CHECKING:
-    from test.conftest import Bits, Ros
+from support.ros import Ros
+from support.runs import Bits
 
 CYCLES = 20
 TICKS = 32

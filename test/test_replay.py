@@ -34,10 +34,10 @@ from leg_node.state import Partition
 from leg_node.table import Table, empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
+from support.ros import Ros
 
 if TYPE_CHECKING:
     from sim_node.world import World
-    from test.conftest import Ros
 
 pytestmark = pytest.mark.skipif(find_spec("rosbags") is None, reason="rosbags is missing")
 needs_bullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is missing")

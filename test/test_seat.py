@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from rclpy.node import Node
@@ -26,9 +26,8 @@ from ember_ros.spinning import main_of
 from leg_node.node import LegNode
 from leg_node.table_node import TableNode
 from sim_node.node import SimNode
-
-if TYPE_CHECKING:
-    from test.conftest import Bits, Ros
+from support.ros import Ros
+from support.runs import Bits
 
 PLAN = Plan("walker", 6, seed=4, params=replace(Params(), {"walk.sync_every": 32}))
 PATIENCE_S = 30.0
