@@ -13,26 +13,27 @@ from hypothesis import settings
 from ember_ros.plan import Plan
 from support import ros as own
 from support import runs
+from support.needs import ROS
 from support.ros import Ros
 from support.runs import Bits
 
-ROS = find_spec("rclpy") is not None
 SIM = find_spec("pybullet") is not None
 
-# The pure tests run without ROS; these cannot even be imported.
-collect_ignore = (
-    []
-    if ROS and SIM
-    else [
-        "test_wire.py",
-        "test_nodes.py",
-        "test_graph.py",
-        "test_processes.py",
-        "test_bag_nodes.py",
-        "test_installed.py",
-        "test_seat.py",
-    ]
+ROS_FILES = (
+    "test_bag_nodes.py",
+    "test_graph.py",
+    "test_installed.py",
+    "test_nodes.py",
+    "test_processes.py",
+    "test_seat.py",
+    "test_wire.py",
 )
+"""All tests in these need ROS: without rclpy they cannot even be imported."""
+ROS_FIXTURES = {"free_domain", "ros", "ros_of_module"}
+ROS_WAYS = {"graph", "processes"}
+"""Parameters of tests that name a way to run which needs ROS."""
+
+collect_ignore = [] if ROS and SIM else [*ROS_FILES]
 
 # The same examples every time; a slow machine fails no test.
 settings.register_profile("ember", deadline=None, derandomize=True)
@@ -44,6 +45,21 @@ def pytest_report_header() -> list[str]:
     return [f"left out, rclpy or pybullet is missing: {', '.join(collect_ignore)}"] * (
         not (ROS and SIM)
     )
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what needs ROS by its file, fixtures and parameters; skip it where rclpy is missing."""
+    for item in items:
+        assert isinstance(item, pytest.Function)
+        given = item.callspec.params.values() if hasattr(item, "callspec") else ()
+        if (
+            item.path.name in ROS_FILES
+            or not ROS_FIXTURES.isdisjoint(item.fixturenames)
+            or any(isinstance(each, str) and each in ROS_WAYS for each in given)
+        ):
+            item.add_marker(pytest.mark.ros)
+        if item.get_closest_marker("ros") and not ROS:
+            item.add_marker(pytest.mark.skip(reason="rclpy is missing"))
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -75,23 +91,34 @@ def by_graph() -> Callable[[Any], Bits]:
 
 
 @pytest.fixture
-def ros() -> Iterator[Ros]:
-    """Give a test an rclpy context in a domain of its own, and its processes that domain."""
-    with own.ros_in_own_domain() as ros, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(ros.domain))
+def free_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """Give a test and its processes a domain of their own."""
+    with own.reserved_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        yield domain
+
+
+@pytest.fixture
+def ros(free_domain: int) -> Iterator[Ros]:
+    """Give a test an rclpy context in its domain."""
+    with own.ros_in(free_domain) as ros:
         yield ros
 
 
 @pytest.fixture(scope="module")
 def ros_of_module() -> Iterator[Ros]:
     """Give the tests of a module one context in one domain, and their processes that domain."""
-    with own.ros_in_own_domain() as ros, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(ros.domain))
-        yield ros
+    with own.reserved_domain() as domain, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(domain))
+        with own.ros_in(domain) as ros:
+            yield ros
 
 
-@pytest.fixture
-def free_domain() -> Iterator[int]:
-    """Reserve a domain id for a test that starts a whole graph itself."""
-    with own.reserved_domain() as domain:
-        yield domain
+@pytest.fixture(autouse=True)
+def domain(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give every test that is marked ``ros`` a domain of its own, and let no other start ROS."""
+    if request.node.get_closest_marker("ros") is None:
+        # No number: rclpy and ember refuse it, and say it.
+        monkeypatch.setenv("ROS_DOMAIN_ID", "this test is not marked ros")
+    elif "ros_of_module" not in request.fixturenames:
+        request.getfixturevalue("free_domain")

@@ -7,7 +7,6 @@ import signal
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import closing
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +42,10 @@ from leg_node.table_node import TableNode
 from sim_node import node as sim_module
 from sim_node.fake import FakeWorld
 from sim_node.node import SimNode
+from support.needs import needs_bags
 from support.ros import Ros
 
-pytestmark = pytest.mark.skipif(find_spec("rosbags") is None, reason="rosbags is missing")
+pytestmark = needs_bags
 
 CYCLES = 4
 TICKS = 32

@@ -14,7 +14,6 @@ import shutil
 import sqlite3
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,10 +48,9 @@ from leg_node.reward import Rewarder
 from leg_node.state import Partition
 from leg_node.table import empty_table
 from sim_node.fake import FakeWorld
+from support.needs import needs_bags
 
-pytestmark = pytest.mark.skipif(
-    find_spec("rosbags") is None or find_spec("mcap") is None, reason="rosbags or mcap is missing"
-)
+pytestmark = needs_bags
 
 PARAMS = replace(
     Params(),

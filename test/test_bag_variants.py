@@ -21,10 +21,9 @@ from ember_ros.bag.reading import Bag
 from ember_ros.bag.storage import INFORMATION, METADATA
 from ember_ros.errors import BagError
 from ember_ros.shipped import BAG, DATA
+from support.needs import needs_bags
 
-pytestmark = pytest.mark.skipif(
-    find_spec("rosbags") is None or find_spec("mcap") is None, reason="rosbags or mcap is missing"
-)
+pytestmark = needs_bags
 
 WALK = DATA / BAG
 CYCLES_S = 1.0

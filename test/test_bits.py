@@ -10,17 +10,17 @@ import os
 import platform
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from ember_ros.shipped import BAG, DATA
+from support.needs import needs_bullet
 
 ROOT = Path(__file__).resolve().parents[1]
 
-pytestmark = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is missing")
+pytestmark = needs_bullet
 
 RUNS = """
 import json, tempfile

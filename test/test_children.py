@@ -114,12 +114,6 @@ def test_a_child_ends_when_its_input_does(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def domain(monkeypatch: pytest.MonkeyPatch, free_domain: int) -> None:
-    """Run every graph in a domain of its own."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain))
-
-
-@pytest.fixture
 def out(tmp_path: Path) -> Iterator[Path]:
     """Return the folder of a run, of which nothing is left in the end."""
     yield tmp_path / "run"
@@ -138,10 +132,9 @@ def walking(out: Path) -> bool:
     return record.exists() and record.stat().st_size > 400
 
 
-@pytest.mark.usefixtures("domain")
+@pytest.mark.ros
 def test_nodes_end_with_the_process_that_started_them(out: Path) -> None:
     """``kill -9`` of ``ember`` leaves nobody behind, and what was learnt in the table's file."""
-    pytest.importorskip("rclpy")
     command = [*EMBER, "walk", "--cycles", FOREVER, "--on", "processes", "--out", str(out)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as ember:
         until(lambda: walking(out) or ember.poll() is not None, "it walks")
@@ -151,12 +144,9 @@ def test_nodes_end_with_the_process_that_started_them(out: Path) -> None:
     assert saved(out)
 
 
-@pytest.mark.usefixtures("domain")
 @pytest.mark.parametrize("way", ["loop", "graph", "processes"])
 def test_a_closed_terminal_ends_a_run_as_ctrl_c_does(out: Path, way: str) -> None:
     """The kernel sends SIGHUP, and nothing can be written any more: saved, 130, nobody left."""
-    if way != "loop":
-        pytest.importorskip("rclpy")
     ours, terminal = pty.openpty()
     command = [*EMBER, "walk", "--cycles", FOREVER, "--on", way, "--out", str(out)]
     # A session of its own, whose terminal this is: setsid, and the first terminal that is opened.

@@ -50,12 +50,6 @@ def ember(*words: Any) -> int:
     return end.value.code
 
 
-@pytest.fixture(autouse=True)
-def domain(monkeypatch: pytest.MonkeyPatch, free_domain: int) -> None:
-    """Run every graph in a domain of its own."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain))
-
-
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
     """Return a runner of commands in a folder of its own; it returns all that was printed."""
@@ -356,6 +350,7 @@ def test_a_bad_option_is_said(run: Run, words: tuple[Any, ...], says: str) -> No
     assert "Traceback" not in output
 
 
+@pytest.mark.ros
 def test_no_cycles_are_a_run_as_well(run: Run) -> None:
     """Nothing is done, everything is written, on the graph too."""
     for way in ("loop", "graph"):
@@ -387,6 +382,7 @@ def test_set_goes_with_the_files_not_with_the_defaults(run: Run) -> None:
     assert output.count("\n") == 1
 
 
+@pytest.mark.ros
 def test_demo_trains_walks_and_draws(run: Run) -> None:
     """Both runs and a picture of both; a second demo replaces the first where it may."""
     for force in ([], ["--force"]):
@@ -431,6 +427,7 @@ def test_a_namespace_is_of_the_demo_and_of_a_replay_too(run: Run, free_domain: i
     assert "no robot in robot_2" in run("replay", "bag", *robot, code=2)
 
 
+@pytest.mark.ros
 def test_a_bag_of_the_loop_has_the_namespace_too(run: Run) -> None:
     """However a run was run, its bag has the same bytes."""
     for way in ("loop", "graph"):
@@ -459,6 +456,7 @@ def test_ctrl_c_saves_what_was_learnt(tmp_path: Path, way: str) -> None:
     assert load_table(tmp_path / "o" / TABLE, Params())[0].visits.sum() > 100
 
 
+@pytest.mark.ros
 def test_bench_measures_every_way(run: Run) -> None:
     """A small one: every figure is there and positive; none is judged."""
     run("bench", "--cycles", 4, "--repeats", 1, "--train-cycles", 5, "--epochs", 20)

@@ -11,7 +11,6 @@ import shlex
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,15 +36,9 @@ from leg_node.reward import Rewarder
 from leg_node.table import empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
+from support.needs import needs_bags, needs_bullet
 
-ROS = find_spec("rclpy") is not None
-SIM = find_spec("pybullet") is not None
-
-pytestmark = pytest.mark.skipif(
-    find_spec("rosbags") is None or find_spec("mcap") is None, reason="rosbags or mcap is missing"
-)
-needs_ros = pytest.mark.skipif(not ROS, reason="rclpy is missing")
-needs_bullet = pytest.mark.skipif(not SIM, reason="pybullet is missing")
+pytestmark = needs_bags
 
 PARAMS = replace(
     Params(),
@@ -272,7 +265,7 @@ COMMANDS = [
     "bag csv --out o",
     "replay",
     "relearn --out o",
-    pytest.param("play", marks=needs_ros),
+    pytest.param("play", marks=pytest.mark.ros),
 ]
 
 SPOILT = {
@@ -664,15 +657,12 @@ def test_replay_of_one_of_two_robots(run: Go, two: dict[str, Made]) -> None:
         assert "Equal, bit for bit." in text
 
 
-@needs_ros
+@pytest.mark.ros
 def test_replay_on_the_graph(
     walked: Made,
-    free_domain: int,
-    monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """Real leg nodes, table node and CPG node: the same bits, the same words."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain))
     words = ["replay", str(walked.bag), "--on", "graph"]
     main.main(words, prog_name="ember", standalone_mode=False)  # rclpy wants a real stderr
     text = words_of(capfd.readouterr().out)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -12,8 +11,9 @@ import pytest
 from ember_ros.cli import main
 from ember_ros.experiments.reproduction import RESULTS
 from ember_ros.params import Params
+from support.needs import needs_bullet
 
-pytestmark = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is missing")
+pytestmark = needs_bullet
 
 PARAMS = Params()
 CYCLES = 20

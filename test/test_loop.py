@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,12 +24,12 @@ from leg_node.state import Partition
 from leg_node.table import Table, empty_table
 from leg_node.table_file import save_table
 from sim_node.fake import FakeWorld
+from support.needs import needs_bullet
 
 PARAMS = load_params("plain")
 TICKS = PARAMS.gait.ticks
 EAGER = replace(PARAMS, {"walk.epsilon_start": 0.3, "walk.epsilon_end": 0.3})
 
-needs_bullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is missing")
 bullet_worlds = [pytest.param(where, marks=needs_bullet) for where in ("trainer", "walker")]
 every_world = pytest.mark.parametrize("where", ["fake", *bullet_worlds])
 two_worlds = pytest.mark.parametrize("where", ["fake", bullet_worlds[1]])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,6 @@ import pytest
 from ember_ros.entry_points import NODES
 
 ROOT = Path(__file__).resolve().parents[1]
-ROS = find_spec("rclpy") is not None
 
 WALL = """
 import importlib.abc, runpy, sys
@@ -45,16 +43,14 @@ graph.close()
 )
 
 
-def without(
-    hidden: str, script: str, *args: str, domain: int = 0
-) -> subprocess.CompletedProcess[str]:
+def without(hidden: str, script: str, *args: str) -> subprocess.CompletedProcess[str]:
     """Run a script in a Python that lacks some libraries."""
     return subprocess.run(
         [sys.executable, "-c", script, hidden, *args],
         capture_output=True,
         text=True,
         cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "ROS_DOMAIN_ID": str(domain)},
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         check=False,
         timeout=60.0,
     )
@@ -127,7 +123,7 @@ def test_what_is_needed_in_the_end_is_missed_at_the_start(
     assert not (tmp_path / "bag").exists()
 
 
-@pytest.mark.skipif(not ROS, reason="rclpy is missing")
+@pytest.mark.ros
 @pytest.mark.parametrize("library", ["mcap", "rosbags"])
 @pytest.mark.parametrize(
     ("module", "args"),
@@ -137,24 +133,22 @@ def test_what_is_needed_in_the_end_is_missed_at_the_start(
     ],
 )
 def test_a_node_that_cannot_record_ends_at_once(
-    free_domain: int, tmp_path: Path, library: str, module: str, args: tuple[str, ...]
+    tmp_path: Path, library: str, module: str, args: tuple[str, ...]
 ) -> None:
     """It does not look healthy and record nothing: one line that names the library, and code 2."""
     bag = tmp_path / "bag"
-    done = without(
-        library, RUN, module, "--ros-args", "-p", f"bag:={bag}", *args, domain=free_domain
-    )
+    done = without(library, RUN, module, "--ros-args", "-p", f"bag:={bag}", *args)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert line.startswith(f"error: {library} is not installed, and is needed for bags: `pip ")
     assert not bag.exists()
 
 
-@pytest.mark.skipif(not ROS, reason="rclpy is missing")
-def test_nodes_walk_without_what_only_ember_needs(free_domain: int) -> None:
+@pytest.mark.ros
+def test_nodes_walk_without_what_only_ember_needs() -> None:
     """No node imports what draws, what prints, or what writes bags."""
     hidden = "click,rich,matplotlib,mcap,rosbags,scipy"
-    done = without(hidden, WALK, domain=free_domain)
+    done = without(hidden, WALK)
     assert (done.returncode, done.stdout.strip()) == (0, "64"), done.stderr
 
 
@@ -174,7 +168,7 @@ def test_a_command_whose_standard_streams_are_closed_runs(tmp_path: Path) -> Non
     assert (tmp_path / "out" / "summary.json").exists()
 
 
-@pytest.mark.skipif(not ROS, reason="rclpy is missing")
+@pytest.mark.ros
 def test_the_help_of_a_node_may_be_cut_off() -> None:
     """``ember node leg_node --help | head -1``: no traceback."""
     command = [sys.executable, "-m", "ember_ros", "node", "leg_node", "--help"]

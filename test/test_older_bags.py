@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +14,12 @@ from ember_ros.errors import BagError
 from ember_ros.params import Params, digest, params_sha256
 from ember_ros.plan import Plan
 from leg_node.table import empty_table
+from support.needs import needs_bags
 
 KEPT = Path(__file__).parent / "fixtures" / "walk"
 
-needs_rosbags = pytest.mark.skipif(
-    find_spec("rosbags") is None or find_spec("mcap") is None, reason="rosbags or mcap is missing"
-)
 
-
-@needs_rosbags
+@needs_bags
 def test_the_bag_that_is_kept_is_read(tmp_path: Path) -> None:
     """Of before ``<leg>/transition``: counts, lines, and what its legs sensed and did."""
     from ember_ros.bag.reading import Bag
@@ -41,7 +37,7 @@ def test_the_bag_that_is_kept_is_read(tmp_path: Path) -> None:
     assert lines[0].split(",") == list(look.TICK_COLUMNS)
 
 
-@needs_rosbags
+@needs_bags
 def test_the_bag_that_is_kept_is_learnt_from() -> None:
     """A tick's update needs the senses after it, so each leg has one less than its ticks."""
     from ember_ros.bag.relearn import relearn
@@ -50,7 +46,7 @@ def test_the_bag_that_is_kept_is_learnt_from() -> None:
     assert (learnt.ticks, learnt.updates, learnt.skipped) == (96, 4 * 95, 0)
 
 
-@needs_rosbags
+@needs_bags
 def test_the_bag_that_is_kept_is_replayed_as_far_as_can_be() -> None:
     """Every command comes out again; the table was read with matrix products then, and differs."""
     from ember_ros.bag.reading import Bag

@@ -14,6 +14,8 @@ from ember_ros.errors import ParameterError
 from ember_ros.params import SPECS, Params, flat
 from ember_ros.params_file import changed, load_params, read_settings
 
+pytestmark = pytest.mark.ros
+
 HEAD = "/**:\n  ros__parameters:\n"
 
 
@@ -25,7 +27,7 @@ def in_file(file: Path, text: str) -> Path:
 
 def by_node(*files: Path) -> dict[str, Any] | None:
     """Return what a node reads; None where rcl or the node refuses it."""
-    rclpy = pytest.importorskip("rclpy")
+    import rclpy
     from rclpy.signals import SignalHandlerOptions
 
     from ember_ros.ros_params import declare_params

@@ -6,7 +6,6 @@ import functools
 import itertools
 import struct
 from collections.abc import Callable, Iterable, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -34,17 +33,13 @@ from leg_node.state import Partition
 from leg_node.table import Table, empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
+from support.needs import needs_bags, needs_bullet
 from support.ros import Ros
 
 if TYPE_CHECKING:
     from sim_node.world import World
 
-pytestmark = pytest.mark.skipif(find_spec("rosbags") is None, reason="rosbags is missing")
-needs_bullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is missing")
-needs_ros = pytest.mark.skipif(
-    find_spec("rclpy") is None or find_spec("pybullet") is None,
-    reason="rclpy or pybullet is missing",
-)
+pytestmark = needs_bags
 
 TICKS = Params().gait.ticks
 TICK_NS = Params().gait.tick_ns
@@ -413,7 +408,7 @@ def test_a_sense_that_is_no_message_any_more_is_told(
 
 # -- what is missing ---------------------------------------------------------------------------
 
-ways = pytest.mark.parametrize("on", ["loop", pytest.param("graph", marks=needs_ros)])
+ways = pytest.mark.parametrize("on", ["loop", pytest.param("graph", marks=needs_bullet)])
 
 
 @pytest.fixture
@@ -467,7 +462,7 @@ MISSING: dict[str, tuple[list[tuple[str, int]], str]] = {
     ("what", "on"),
     [
         *((what, "loop") for what in MISSING),
-        *(pytest.param(what, "graph", marks=needs_ros) for what in ("contact", "two ticks")),
+        *(pytest.param(what, "graph", marks=needs_bullet) for what in ("contact", "two ticks")),
     ],
 )
 def test_a_record_with_a_hole_is_replayed_up_to_it(
@@ -815,7 +810,7 @@ def mcap_of(bag: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in bag.iterdir() if file.suffix == ".mcap"}
 
 
-@needs_ros
+@needs_bullet
 def test_loop_graph_and_processes_write_the_same_bytes(ros: Ros, tmp_path: Path) -> None:
     """One plan, three ways: MCAP files are equal, and replay equal on loop and on graph."""
     bags, summaries = {}, {}
@@ -842,7 +837,7 @@ def test_loop_graph_and_processes_write_the_same_bytes(ros: Ros, tmp_path: Path)
         assert (done.ticks, done.compared) == (4 * TICKS, 16 * TICKS)
 
 
-@needs_ros
+@needs_bullet
 def test_a_graph_that_is_stopped_leaves_a_whole_bag(ros: Ros, tmp_path: Path) -> None:
     """Its commands come out again; which table it ended with nobody can say, and nobody does."""
     bag = BagOptions(tmp_path / "bag")
@@ -888,7 +883,7 @@ def test_a_run_never_writes_over_a_bag(tmp_path: Path) -> None:
 KEPT = DATA / BAG
 
 
-@pytest.mark.parametrize("on", ["loop", pytest.param("graph", marks=needs_ros)])
+@pytest.mark.parametrize("on", ["loop", pytest.param("graph", marks=needs_bullet)])
 def test_the_bag_that_comes_with_the_package_is_replayed(on: str) -> None:
     """Recorded by another process, at another time: every command and the table come out equal."""
     with Bag(KEPT) as bag:

@@ -18,6 +18,7 @@ from leg_node.policy import epsilon_at
 from leg_node.table import empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
+from support.needs import needs_bullet
 
 EAGER = replace(Params(), {"train.epsilon_cycles": 20, "train.epsilon_end": 0.0})
 
@@ -46,12 +47,10 @@ def test_exploration_goes_on_where_it_was(tmp_path: Path) -> None:
     assert chosen[1] == {3}
 
 
+@needs_bullet
 @pytest.mark.parametrize("way", ["loop", "graph"])
 def test_a_run_is_resumed_with_what_it_had(tmp_path: Path, way: str) -> None:
     """Cycles add up, over two runs, and the parameters are the run's own."""
-    pytest.importorskip("pybullet")
-    if way == "graph":
-        pytest.importorskip("rclpy")
     go(tmp_path / "a", Plan("trainer", 4, params=EAGER, seed=1), way)
     assert resumed(tmp_path / "a", "trainer") == (4, EAGER)
     table = tmp_path / "a" / TABLE
@@ -63,10 +62,10 @@ def test_a_run_is_resumed_with_what_it_had(tmp_path: Path, way: str) -> None:
     assert visits == [4 * 32 - 1, 4 * 32 - 1 + 3 * 32 - 1]
 
 
+@pytest.mark.ros
+@needs_bullet
 def test_loop_and_graph_resume_alike(tmp_path: Path) -> None:
     """The same bits from the same cycle."""
-    pytest.importorskip("pybullet")
-    pytest.importorskip("rclpy")
     plan = Plan("trainer", 8, params=EAGER, seed=2, start_cycle=19)
     told = [go(tmp_path / way, plan, way) for way in ("loop", "graph")]
     for name in ("table_sha256", "commands_sha256", "senses_sha256", "transitions_sha256"):

@@ -18,6 +18,7 @@ from ember_ros.plan import Plan, make_world
 from ember_ros.signals import LEGS, TRAINER_LEG, BodyState, LegCommand, LegSense
 from sim_node.fake import FakeWorld
 from sim_node.world import World
+from support.needs import needs_bullet
 
 PARAMS = Params()
 TICKS, LEG = PARAMS.gait.ticks, PARAMS.leg
@@ -29,7 +30,6 @@ and what the contact solver leaves."""
 LANDING = 0.003
 """How far a bar that falls onto its stop passes it for a tick, m: joint limits are soft."""
 
-needs_bullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is missing")
 KINDS = ("trainer", "modulated trainer", "walker", "fake")
 every_world = pytest.mark.parametrize(
     "kind", [kind if kind == "fake" else pytest.param(kind, marks=needs_bullet) for kind in KINDS]

@@ -186,14 +186,14 @@ class Ros:
 
 
 @contextmanager
-def ros_in_own_domain() -> Iterator[Ros]:
+def ros_in(domain: int) -> Iterator[Ros]:
+    """Open a context in a domain, and hold in the end that nothing that was started runs on."""
     threads, children = set(threading.enumerate()), _children()
-    with reserved_domain() as domain:
-        ros = Ros(domain)
-        try:
-            yield ros
-        finally:
-            ros.close()
-            left = set(threading.enumerate()) - threads
-            assert not left, f"threads left running: {left}"
-            assert _children() <= children, "processes left running"
+    ros = Ros(domain)
+    try:
+        yield ros
+    finally:
+        ros.close()
+        left = set(threading.enumerate()) - threads
+        assert not left, f"threads left running: {left}"
+        assert _children() <= children, "processes left running"
