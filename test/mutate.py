@@ -52,6 +52,7 @@ from leg_node.shared import Push
 from leg_node.table import empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
+from support.plans import TINY as PARAMS
 
 LIMIT_S, LIMIT_MB = 10.0, 300.0
 """What one mutant may cost: time, and growth of the resident memory."""
@@ -59,10 +60,6 @@ ADDRESS_SPACE = 4 << 30
 """Bytes more than at the start, so that a bomb kills this process and not the machine."""
 MOST_SAID = 2500
 """Characters of a message."""
-PARAMS = replace(
-    Params(),
-    {"state.hip_bins": 3, "state.force_edges": [0.5], "state.inclination_edges": [-0.5]},
-)
 TICKS = 48
 
 Rng = random.Random

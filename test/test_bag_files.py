@@ -52,9 +52,10 @@ from ember_ros.observer import Observer
 from ember_ros.params import Params
 from ember_ros.plan import Plan
 from ember_ros.shipped import BAG, DATA
-from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Phase
+from ember_ros.signals import LEGS, BodyState, Phase
 from leg_node.table import Table, empty_table
 from sim_node.fake import FakeWorld
+from support.runs import Heard
 
 PARAMS = Params()
 TICK_NS = PARAMS.gait.tick_ns
@@ -206,23 +207,6 @@ def in_sqlite(folder: Path) -> Path:
     text = (folder / METADATA).read_text()
     (folder / METADATA).write_text(text.replace(made.name, f"{folder.name}_0.db3"))
     return folder
-
-
-class Heard:
-    """An observer that keeps everything."""
-
-    def __init__(self) -> None:
-        self.phases: list[Phase] = []
-        self.senses: list[tuple[LegSense, ...]] = []
-        self.commands: list[tuple[LegCommand | None, ...]] = []
-        self.bodies: list[BodyState] = []
-
-    def tick(self, phase: Phase, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
-        """Keep a tick."""
-        self.phases.append(phase)
-        self.senses.append(tuple(senses))
-        self.commands.append(tuple(commands))
-        self.bodies.append(body)
 
 
 def decoded(message: Written) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import resource
 import signal
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -12,10 +11,8 @@ from typing import Any
 
 import pytest
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 
-from cpg_node.node import CpgNode
 from ember_ros import topics, wire
 from ember_ros.bag import player_node, recorder_node
 from ember_ros.bag.card import Card
@@ -29,7 +26,7 @@ from ember_ros.bag.repair import repair
 from ember_ros.bag.replay import replay
 from ember_ros.bag.storage import BagOptions, BagWriter, read_metadata, size_of
 from ember_ros.errors import BagError, ParameterError
-from ember_ros.graph import Graph, node_options
+from ember_ros.graph import Graph
 from ember_ros.loop import Loop
 from ember_ros.params import Params, as_dict, replace
 from ember_ros.plan import Plan
@@ -41,8 +38,10 @@ from leg_node.table_file import save_table
 from leg_node.table_node import TableNode
 from sim_node import node as sim_module
 from sim_node.fake import FakeWorld
-from sim_node.node import SimNode
+from support.bags import raws_of
 from support.needs import needs_bags
+from support.plans import small_plan
+from support.robot import PATIENCE_S, Robot, matched, overrides
 from support.ros import Ros
 
 pytestmark = needs_bags
@@ -51,20 +50,12 @@ CYCLES = 4
 TICKS = 32
 ALL = CYCLES * TICKS
 TICK_NS = Params().gait.tick_ns
-PATIENCE_S = 30.0
-"""Wall time that nodes wait where bits are compared: a busy machine must not change them."""
 FALLS = {50, 51}
-SMALL: dict[str, Any] = {
-    "state.hip_bins": 5, "state.force_edges": [0.25, 1.0], "state.inclination_edges": [-0.6, -0.4],
-    "walk.epsilon_start": 0.2, "walk.epsilon_end": 0.2,
-}  # fmt: skip
-"""A walker that explores, on a small table."""
 
 
-def plan(cycles: int = CYCLES, *, seed: int = 3, **options: Any) -> Plan:
+def plan(cycles: int = CYCLES, **options: Any) -> Plan:
     """Return a plan of a small walker; options with ``__`` in their names are parameters."""
-    changes = {n.replace("__", "."): options.pop(n) for n in list(options) if "__" in n}
-    return Plan("walker", cycles, seed=seed, params=replace(Params(), SMALL | changes), **options)
+    return small_plan(cycles, **options)
 
 
 def world_of(plan: Plan) -> FakeWorld:
@@ -72,103 +63,10 @@ def world_of(plan: Plan) -> FakeWorld:
     return FakeWorld(plan.legs, plan.params, falls_at=FALLS)
 
 
-def given(parameters: dict[str, Any]) -> list[Parameter]:
-    """Return parameters as rclpy takes them."""
-    return [Parameter(name, value=value) for name, value in parameters.items()]
-
-
-def matched(*nodes: Any) -> bool:
-    """Return whether every subscription of these nodes has every publisher of theirs."""
-    heard = Counter(each.topic_name for node in nodes for each in node.subscriptions)
-    return all(
-        each.get_subscription_count() >= heard[each.topic_name]
-        for node in nodes
-        for each in node.publishers
-    )
-
-
-KINDS: dict[str, Any] = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
-
-
-class Robot:
-    """The nodes of a plan one by one: first all but the world, and then, by ``begin``, that."""
-
-    def __init__(
-        self,
-        ros: Ros,
-        plan: Plan,
-        namespace: str = "",
-        *,
-        without: Collection[str] = (),
-        **options: dict[str, Any],
-    ) -> None:
-        """Start all nodes but the world and those left out, with some options changed."""
-        self._ros, self._plan, self.namespace = ros, plan, namespace
-        self.nodes: dict[str, Any] = {}
-        for name in node_options(plan):
-            if name not in ("sim_node", *without):
-                self.nodes[name] = ros.add(self._make(name, options.get(name, {})))
-
-    def _make(self, name: str, changes: dict[str, Any]) -> Any:
-        numbers = {
-            f"{group}.{field}": value
-            for group, fields in as_dict(self._plan.params).items()
-            for field, value in fields.items()
-        }
-        own = node_options(self._plan, patience=PATIENCE_S)[name]
-        extra: dict[str, Any] = {"node_name": name} if name.startswith("leg_") else {}
-        if name == "sim_node":
-            extra = {"world": world_of(self._plan)}
-        return KINDS.get(name, LegNode)(
-            context=self._ros.context,
-            namespace=self.namespace,
-            parameter_overrides=given({**numbers, **own, **changes}),
-            **extra,
-        )
-
-    @property
-    def sim(self) -> Any:
-        """Return the sim node."""
-        return self.nodes["sim_node"]
-
-    @property
-    def tick(self) -> int:
-        """Return the world's present tick."""
-        return int(self.sim.tick)
-
-    @property
-    def table(self) -> str:
-        """Return the SHA-256 of the shared table."""
-        return str(self.nodes["table_node"].shared.table.sha256())
-
-    def begin(self, *listeners: Any, **options: Any) -> None:
-        """Start the world, once everybody is matched with it."""
-        sim = self._make("sim_node", options)
-        try:
-            self._ros.spin_until(
-                lambda: matched(sim, *self.nodes.values(), *listeners), "all are matched"
-            )
-        finally:
-            self.nodes["sim_node"] = self._ros.add(sim)
-
-    def kill(self, name: str) -> None:
-        """Destroy a node where it stands."""
-        self._ros.remove(self.nodes.pop(name))
-
-    def walk_to(self, tick: int) -> None:
-        """Spin until the world is at a tick, or done."""
-        self._ros.spin_until(lambda: self.tick >= tick or self.sim.done, f"tick {tick}")
-
-    def finish(self) -> None:
-        """End all nodes, the world first and the table last."""
-        last = {"sim_node": 0, "table_node": 2}
-        for name in sorted(self.nodes, key=lambda name: last.get(name, 1)):
-            self.nodes[name].finish(self._ros.spin_once)
-
-    def run(self) -> None:
-        """Run to the end."""
-        self._ros.spin_until(lambda: self.sim.done, "the last tick")
-        self.finish()
+def robot_of(ros: Ros, plan: Plan, namespace: str = "", **how: Any) -> Robot:
+    """Start all nodes of a plan but the world, which robot.begin starts."""
+    without = ["sim_node", *how.pop("without", [])]
+    return Robot(ros, plan, namespace, without=without, patience=PATIENCE_S, world=world_of, **how)
 
 
 def recording(ros: Ros, folder: Path, namespace: str = "", **parameters: Any) -> Any:
@@ -177,7 +75,7 @@ def recording(ros: Ros, folder: Path, namespace: str = "", **parameters: Any) ->
         RecorderNode(
             context=ros.context,
             namespace=namespace,
-            parameter_overrides=given({"bag": str(folder), **parameters}),
+            parameter_overrides=overrides({"bag": str(folder), **parameters}),
         )
     )
 
@@ -246,10 +144,9 @@ def by_loop(folder: Path, plan: Plan, *namespaces: str) -> Path:
     return folder
 
 
-def raws_of(bag: Path) -> list[Raw]:
+def told(bag: Path) -> list[Raw]:
     """Return all messages of a bag in order, but those that only bags carry."""
-    with Bag(bag) as opened:
-        return [raw for raw in opened.raw() if "/run/" not in raw.topic]
+    return [raw for raw in raws_of(bag) if "/run/" not in raw.topic]
 
 
 @pytest.fixture(scope="module")
@@ -269,7 +166,7 @@ def test_a_recorder_writes_the_bytes_that_the_world_writes(
     own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
     said = warnings(ros)
     recorder = recording(ros, heard, namespace)
-    robot = Robot(ros, plan(), namespace)
+    robot = robot_of(ros, plan(), namespace)
     robot.begin(recorder, bag=str(own))
     robot.run()
     until_recorded(ros, recorder, ALL, namespace)
@@ -290,7 +187,7 @@ def test_a_recorder_writes_the_bytes_that_the_world_writes(
 def test_a_recorder_records_every_robot_on_the_graph(ros: Ros, tmp_path: Path) -> None:
     """Two robots, one's name the beginning of the other's, one bag: each is replayed by itself."""
     plans = {"robot_1": plan(seed=8), "robot_12": plan(seed=9, walk__sync_every=4)}
-    robots = {name: Robot(ros, each, name) for name, each in plans.items()}
+    robots = {name: robot_of(ros, each, name) for name, each in plans.items()}
     recorder = recording(ros, tmp_path / "bag", all_robots=True)
     for name in robots:
         ros.spin_until(
@@ -325,7 +222,7 @@ def test_a_recorder_that_joins_late_and_leaves_early_says_so_and_holds_nobody(
 ) -> None:
     """The card has the first tick, a replay refuses in words, what is there can be learnt from."""
     said = warnings(ros)
-    robot = Robot(ros, plan(10**6))
+    robot = robot_of(ros, plan(10**6))
     robot.begin(patience=2.0)
     robot.walk_to(100)
     joined = robot.tick
@@ -359,7 +256,7 @@ def test_a_table_that_was_asked_for_too_late_is_not_the_one_at_the_start(
     """When legs may have learnt into it nobody knows what they began with; a replay says so."""
     said = warnings(ros)
     recorder = recording(ros, tmp_path / "bag")
-    voice = Voice(ros, recorder, raws_of(walked))
+    voice = Voice(ros, recorder, told(walked))
     voice.say(range(40))
     ros.add(TableNode(context=ros.context))
     until_heard(ros, recorder, 39)
@@ -376,7 +273,7 @@ def test_a_leg_that_dies_costs_its_commands_and_nothing_else(ros: Ros, tmp_path:
     """The others, all senses and the body are there, tick by tick; the replay is equal."""
     own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
     recorder = recording(ros, heard)
-    robot = Robot(ros, plan(10**6, learning=False))
+    robot = robot_of(ros, plan(10**6, learning=False))
     robot.begin(recorder, bag=str(own), patience=0.5)
     until_recorded(ros, recorder, 40)
     robot.kill("leg_rear_left")
@@ -425,7 +322,7 @@ def test_a_recorder_must_be_told_where_to(ros: Ros, tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
 
     def make(**parameters: Any) -> None:
-        RecorderNode(context=ros.context, parameter_overrides=given(parameters))
+        RecorderNode(context=ros.context, parameter_overrides=overrides(parameters))
 
     with pytest.raises(ParameterError, match="give the folder of a new bag"):
         make()
@@ -519,12 +416,12 @@ def test_what_a_recorder_misses_is_counted_and_the_rest_is_as_it_was_said(
     """Everything that was heard is in the bag, byte by byte and in its order, and nothing else."""
     lost, count = LOST[what]
     recorder = recording(ros, tmp_path / "bag")
-    voice = Voice(ros, recorder, raws_of(walked))
+    voice = Voice(ros, recorder, told(walked))
     said = voice.say(range(ALL), without=named(*lost))
     until_heard(ros, recorder, ALL - 1)
     recorder.finish(ros.spin_once)
     assert ear_of(recorder).missing == count
-    assert raws_of(tmp_path / "bag") == said
+    assert told(tmp_path / "bag") == said
 
 
 @pytest.mark.parametrize("life", [100, 40, 3])
@@ -532,16 +429,16 @@ def test_time_that_begins_anew_ends_the_bag(
     ros: Ros, tmp_path: Path, walked: Path, at_once: None, life: int
 ) -> None:
     """One run a bag: the recorder is done, and nothing of the second run is in it."""
-    other = raws_of(by_loop(tmp_path / "other", plan(seed=4)))
+    other = told(by_loop(tmp_path / "other", plan(seed=4)))
     recorder = recording(ros, tmp_path / "bag")
-    voice = Voice(ros, recorder, raws_of(walked), other)
+    voice = Voice(ros, recorder, told(walked), other)
     said = voice.say(range(life))
     until_heard(ros, recorder, life - 1)
     assert not recorder.done
     voice.say(range(ALL), other)
     ros.spin_until(lambda: recorder.done, "the recorder is done")
     recorder.finish(ros.spin_once)
-    assert raws_of(tmp_path / "bag") == said
+    assert told(tmp_path / "bag") == said
 
 
 @pytest.mark.parametrize("seconds", [-1, 10, 2**30])
@@ -550,7 +447,7 @@ def test_one_message_of_another_time_ends_no_recording(
 ) -> None:
     """A wrong clock, phase or stamp is left out, and all that follows is written."""
     recorder = recording(ros, tmp_path / "bag")
-    voice = Voice(ros, recorder, raws_of(walked))
+    voice = Voice(ros, recorder, told(walked))
     said = voice.say(range(60))
     until_heard(ros, recorder, 59)
     ns, params = 59 * TICK_NS + seconds * 10**9, plan().params
@@ -563,7 +460,7 @@ def test_one_message_of_another_time_ends_no_recording(
     until_heard(ros, recorder, ALL - 1)
     assert not recorder.done
     recorder.finish(ros.spin_once)
-    assert raws_of(tmp_path / "bag") == said
+    assert told(tmp_path / "bag") == said
 
 
 def test_what_is_no_message_is_not_recorded_and_disturbs_nobody(
@@ -571,7 +468,7 @@ def test_what_is_no_message_is_not_recorded_and_disturbs_nobody(
 ) -> None:
     """Nonsense on a robot's topics carries no tick: it is left out, and all else is written."""
     recorder = recording(ros, tmp_path / "bag")
-    voice = Voice(ros, recorder, raws_of(walked))
+    voice = Voice(ros, recorder, told(walked))
     said = voice.say(range(60))
     until_heard(ros, recorder, 59)
     for topic in ("/rear_left/joint_states", "/cpg/phase", "/clock", "/rear_left/command"):
@@ -579,7 +476,7 @@ def test_what_is_no_message_is_not_recorded_and_disturbs_nobody(
     said += voice.say(range(60, ALL))
     until_heard(ros, recorder, ALL - 1)
     recorder.finish(ros.spin_once)
-    assert raws_of(tmp_path / "bag") == said
+    assert told(tmp_path / "bag") == said
 
 
 # -- the world that records itself -------------------------------------------------------------
@@ -637,7 +534,7 @@ def test_a_leg_of_others_making_is_recorded_and_not_replayed(
     """The bag says why it cannot be replayed, in the log and when it is tried; learning works."""
     monkeypatch.setattr(sim_module, "ANSWER_S", 0.5)
     said = warnings(ros)
-    robot = Robot(ros, plan(2), without=["leg_rear_left"])
+    robot = robot_of(ros, plan(2), without=["leg_rear_left"])
     robot.nodes["other"] = ros.add(
         OtherLeg("rear_left", context=ros.context, start_parameter_services=services)
     )
@@ -669,7 +566,7 @@ def test_legs_that_were_told_different_things_are_not_replayed(
     ros: Ros, tmp_path: Path, changes: dict[str, Any], says: str
 ) -> None:
     """No plan says what these legs did: the replay refuses and says why, the bag is whole."""
-    robot = Robot(ros, plan(1), leg_rear_left=changes)
+    robot = robot_of(ros, plan(1), leg_rear_left=changes)
     robot.begin(bag=str(tmp_path / "bag"))
     robot.run()
     with Bag(tmp_path / "bag") as bag:
@@ -890,7 +787,7 @@ def live_leg(ros: Ros, own: Plan, leg: str) -> Any:
         for field, value in fields.items()
     }
     options = {"leg": leg, "policy": own.policy, "learning": own.learning, "shared": False}
-    return LegNode(context=ros.context, parameter_overrides=given(numbers | options))
+    return LegNode(context=ros.context, parameter_overrides=overrides(numbers | options))
 
 
 @pytest.mark.parametrize("onlooker", [False, True], ids=["alone", "with an onlooker"])

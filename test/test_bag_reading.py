@@ -48,15 +48,13 @@ from leg_node.reward import Rewarder
 from leg_node.state import Partition
 from leg_node.table import empty_table
 from sim_node.fake import FakeWorld
+from support import bags
+from support.bags import raws_of
 from support.needs import needs_bags
+from support.plans import TINY as PARAMS
 
 pytestmark = needs_bags
 
-PARAMS = replace(
-    Params(),
-    {"state.hip_bins": 3, "state.force_edges": [0.5], "state.inclination_edges": [-0.5]},
-)
-"""A small table: bags of it are small, too."""
 TICKS, TICK_NS = PARAMS.gait.ticks, PARAMS.gait.tick_ns
 NOON = 1_717_243_200_000_000_000
 """Wall-clock time, ns, at which others record."""
@@ -181,15 +179,7 @@ def in_sqlite(bag: Path) -> Path:
 
 def write(bag: Path, raws: Iterable[Raw], storage: str = "mcap") -> Path:
     """Write messages as they are, into a bag of ours."""
-    writer = BagWriter(BagOptions(bag))
-    try:
-        for n, raw in enumerate(raws):
-            writer.write(writer.channel(raw.topic, raw.kind), raw.ns, raw.data)
-            if n % 500 == 499:
-                writer.flush()
-        writer.close()
-    finally:
-        writer.abandon()
+    bags.write(bag, raws)
     return in_sqlite(bag) if storage == "sqlite3" else bag
 
 
@@ -212,12 +202,6 @@ def write_as_others_do(
                 )
             writer.write(connections[raw.topic], raw.ns, raw.data)
     return bag
-
-
-def raws_of(bag: Path) -> list[Raw]:
-    """Return all messages of a bag."""
-    with Bag(bag) as opened:
-        return list(opened.raw())
 
 
 def heads_of(bag: Path) -> list[Raw]:

@@ -10,9 +10,9 @@ import re
 import shlex
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 import yaml
@@ -20,12 +20,9 @@ from click.testing import CliRunner
 
 from ember_ros import wire
 from ember_ros.bag import look
-from ember_ros.bag.card import Card
 from ember_ros.bag.reading import Bag, Raw
-from ember_ros.bag.recording import Recording
 from ember_ros.bag.storage import INFORMATION, METADATA, BagOptions, BagWriter, seal
 from ember_ros.cli import main
-from ember_ros.loop import Loop
 from ember_ros.params import Params, as_dict, params_sha256, replace
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.plan import Plan
@@ -35,15 +32,13 @@ from ember_ros.signals import LEGS
 from leg_node.reward import Rewarder
 from leg_node.table import empty_table
 from leg_node.table_file import load_table, save_table
-from sim_node.fake import FakeWorld
+from support import bags
+from support.bags import Made, write
 from support.needs import needs_bags, needs_bullet
+from support.plans import TINY as PARAMS
 
 pytestmark = needs_bags
 
-PARAMS = replace(
-    Params(),
-    {"state.hip_bins": 3, "state.force_edges": [0.5], "state.inclination_edges": [-0.5]},
-)
 TICKS, TICK_NS = PARAMS.gait.ticks, PARAMS.gait.tick_ns
 CYCLES = 2
 
@@ -90,66 +85,24 @@ def words_of(text: str) -> str:
 # -- bags ----------------------------------------------------------------------------------------
 
 
-class Made(NamedTuple):
-    """A run that was recorded."""
-
-    bag: Path
-    plan: Plan
-    table: str
-    """SHA-256 at the end."""
-
-
 def record(
     bag: Path,
     *,
     cycles: int = CYCLES,
-    namespace: str = "",
     seed: int = 3,
     world: str = "walker",
-    params: Params = PARAMS,
     table: Path | None = None,
-    writer: BagWriter | None = None,
+    **how: Any,
 ) -> Made:
-    """Record a run of the fake world; into an open bag if a writer is given."""
-    plan = Plan(world, cycles, seed=seed, params=params, table=table)
-    loop = Loop(plan, FakeWorld(plan.legs, params, falls_at=[20, 50]))
-    into = writer or BagWriter(BagOptions(bag))
-    try:
-        card = Card.of_plan(plan, loop.shared.table, {"ember_ros": "1.2.3"})
-        recording = Recording(into, card, loop.shared.table, namespace=namespace)
-        for _ in range(cycles * TICKS):
-            loop.tick(recording)
-        recording.finish()
-        sha = loop.finish().sha256()
-        if writer is None:
-            into.close()
-            seal(bag, table_sha256=sha)
-    finally:
-        if writer is None:
-            into.abandon()
-        loop.close()
-    return Made(bag, plan, sha)
-
-
-def write(bag: Path, raws: Iterable[Raw]) -> Path:
-    """Write messages as they are."""
-    writer = BagWriter(BagOptions(bag))
-    try:
-        for raw in raws:
-            writer.write(writer.channel(raw.topic, raw.kind), raw.ns, raw.data)
-        writer.close()
-    finally:
-        writer.abandon()
-    return bag
+    """Record a run of the fake world, in which the robot falls twice."""
+    plan = Plan(world, cycles, seed=seed, params=PARAMS, table=table)
+    return bags.record(bag, plan, falls_at=[20, 50], about={"ember_ros": "1.2.3"}, **how)
 
 
 def rewritten(made: Made, bag: Path, change: Change) -> Path:
     """Write a bag anew, some of its messages changed or (None) left out, sealed as before."""
-    with Bag(made.bag) as opened:
-        changed = [change(raw) for raw in opened.raw()]
-    write(bag, [raw for raw in changed if raw is not None])
-    seal(bag, table_sha256=made.table)
-    return bag
+    changed = map(change, bags.raws_of(made.bag))
+    return write(bag, (raw for raw in changed if raw is not None), made.table)
 
 
 def slower(leg: str, tick: int) -> Change:

@@ -13,41 +13,36 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 
-from cpg_node.node import CpgNode
 from ember_ros import calls, topics, wire
 from ember_ros.errors import EmberError
-from ember_ros.graph import Graph, node_options
-from ember_ros.params import Params, as_dict, cells_sha256, replace
+from ember_ros.graph import Graph
+from ember_ros.params import Params, cells_sha256
 from ember_ros.plan import Plan
 from ember_ros.signals import LEGS, LegCommand, LegSense, Pair
-from leg_node.node import LegNode
 from leg_node.shared import LocalCopy, Push, SharedTable
 from leg_node.table import empty_table
 from leg_node.table_file import save_table
-from leg_node.table_node import TableNode
-from sim_node.node import SimNode
+from support.plans import changed
+from support.robot import LEG_NODES, PATIENCE_S, Robot, level
 from support.ros import Ros
 from support.runs import Bits
 
 CYCLES = 20
 TICKS = 32
-PATIENCE_S = 30.0
-"""Wall time that nodes wait where bits are compared: a busy machine must not change them."""
 TICK_NS = Params().gait.tick_ns
-LEG_NODES = tuple(f"leg_{leg}" for leg in LEGS)
-
-
-def params(**changes: Any) -> Params:
-    """Return the defaults with some changed; ``__`` stands for the dot."""
-    return replace(Params(), {name.replace("__", "."): value for name, value in changes.items()})
 
 
 def walk(seed: int = 3, sync_every: int = 32, **options: Any) -> Plan:
     """Return a plan of a walker that learns."""
-    return Plan("walker", CYCLES, seed=seed, params=params(walk__sync_every=sync_every), **options)
+    return Plan(
+        "walker",
+        CYCLES,
+        seed=seed,
+        params=changed(Params(), walk__sync_every=sync_every),
+        **options,
+    )
 
 
 PLANS = {
@@ -58,7 +53,7 @@ PLANS = {
     "walker, scripted": walk(policy="scripted"),
     "walker, random": walk(policy="random"),
     "trainer": Plan("trainer", 2 * CYCLES, seed=5),
-    "trainer, 16 ticks": Plan("trainer", 8, seed=6, params=params(gait__ticks=16)),
+    "trainer, 16 ticks": Plan("trainer", 8, seed=6, params=changed(Params(), gait__ticks=16)),
 }
 
 
@@ -203,7 +198,11 @@ def test_a_fall_is_counted_told_and_credited_to_nobody(
 ) -> None:
     """Each fall is said on ``falls`` and sets all restart bits for a tick; then no leg learns."""
     plan = Plan(
-        "walker", CYCLES, seed=1, policy="random", params=params(walker__hip_half_width=0.1)
+        "walker",
+        CYCLES,
+        seed=1,
+        policy="random",
+        params=changed(Params(), walker__hip_half_width=0.1),
     )
     assert by_loop(plan).falls >= 3
     with closing(Graph(plan, patience=PATIENCE_S, context=ros.context)) as graph:
@@ -417,79 +416,6 @@ def test_a_malformed_push_during_a_run_changes_no_bit(
 
 # -- who dies and who comes back ---------------------------------------------------------------
 
-KINDS = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
-
-
-class Robot:
-    """The nodes of a plan one by one, so that each can die and come back."""
-
-    def __init__(self, ros: Ros, plan: Plan, **options: dict[str, Any]) -> None:
-        """Start all nodes, with some options changed."""
-        self._ros, self._plan = ros, plan
-        self.nodes: dict[str, Any] = {}
-        for name in node_options(plan, None):
-            self.start(name, **options.get(name, {}))
-
-    @property
-    def sim(self) -> Any:
-        """Return the sim node."""
-        return self.nodes["sim_node"]
-
-    @property
-    def tick(self) -> int:
-        """Return the world's present tick."""
-        tick: int = self.sim.world.observe()[0].tick
-        return tick
-
-    def start(self, name: str, **changes: Any) -> Any:
-        """Start a node."""
-        numbers = {
-            f"{group}.{field}": value
-            for group, fields in as_dict(self._plan.params).items()
-            for field, value in fields.items()
-        }
-        given = {**numbers, **node_options(self._plan, None)[name], **changes}
-        leg = {"node_name": name} if name.startswith("leg_") else {}
-        node = KINDS.get(name, LegNode)(
-            context=self._ros.context,
-            parameter_overrides=[Parameter(key, value=value) for key, value in given.items()],
-            **leg,
-        )
-        self.nodes[name] = self._ros.add(node)
-        return node
-
-    def kill(self, name: str) -> Any:
-        """Destroy a node where it stands."""
-        node = self.nodes.pop(name)
-        self._ros.remove(node)
-        return node
-
-    def walk_to(self, tick: int) -> None:
-        """Spin until the world is at a tick."""
-        self._ros.spin_until(lambda: self.tick >= tick or self.sim.done, f"tick {tick}")
-
-    def finish(self) -> Bits:
-        """Run to the end and return the bits."""
-        self._ros.spin_until(lambda: self.sim.done, "the last tick")
-        for name, node in self.nodes.items():
-            if name != "table_node":
-                node.finish(self._ros.spin_once)
-        table = self.nodes["table_node"]
-        table.finish(self._ros.spin_once)
-        summary = self.sim.recorder.summary()
-        return (  # type: ignore[return-value]
-            table.shared.table.sha256(),
-            summary["senses_sha256"],
-            summary["commands_sha256"],
-            summary["falls"],
-        )
-
-
-def level(message: Any, name: str) -> tuple[bytes, str]:
-    """Return the level and the text of one status in a diagnostics message."""
-    (status,) = (s for s in message.status if s.name == name)
-    return status.level, status.message
-
 
 def test_a_leg_that_dies_is_absent_and_one_that_comes_back_is_present(ros: Ros) -> None:
     """The others walk on without it, its joints held still; a new one is waited for again."""
@@ -533,7 +459,7 @@ def test_a_cpg_that_dies_stops_the_world_and_a_new_one_takes_it_on(
     ros.spin_until(lambda: len(diagnostics) > count + 2, "diagnostics go on")
     assert robot.tick == stopped
     robot.start("cpg_node")
-    assert robot.finish() == by_loop(walk())
+    assert robot.run() == by_loop(walk())
     assert not any(refusals(robot.nodes).values())
 
 
@@ -550,7 +476,7 @@ def test_a_table_node_can_be_changed_for_another_that_has_its_file(
         robot.start("table_node", table=file, save=file)
         ros.client(topics.PULL)
         ros.client(topics.PUSH)
-    assert robot.finish() == by_loop(walk())
+    assert robot.run() == by_loop(walk())
 
 
 def test_legs_go_on_without_the_table_and_give_a_new_one_what_they_kept(ros: Ros) -> None:
@@ -560,7 +486,7 @@ def test_legs_go_on_without_the_table_and_give_a_new_one_what_they_kept(ros: Ros
     old = robot.kill("table_node")
     robot.walk_to(400)
     new = robot.start("table_node")
-    robot.finish()
+    robot.run()
     old.shared.merge()
     ticks, falls = 2 * CYCLES * TICKS, robot.sim.recorder.summary()["falls"]
     assert not any(robot.sim.recorder.summary()["absent_ticks"].values())
@@ -570,7 +496,8 @@ def test_legs_go_on_without_the_table_and_give_a_new_one_what_they_kept(ros: Ros
 
 def test_what_legs_kept_is_handed_in_at_the_end_too(ros: Ros) -> None:
     """A push that a dead table never heard is said again at once when a leg ends."""
-    patient = {name: {"table_patience": 1.5} for name in LEG_NODES}  # longer than legs take to end
+    # Longer than legs take to end.
+    patient: dict[str, Any] = {name: {"table_patience": 1.5} for name in LEG_NODES}
     robot = Robot(ros, walk(), sim_node={"cycles": 10**6, "patience": 5.0}, **patient)
     robot.walk_to(200)
     robot.kill("table_node")
@@ -621,7 +548,7 @@ def test_a_new_world_begins_time_anew_and_legs_go_on(ros: Ros) -> None:
         commands[leg].clear()
     robot.start("sim_node", cycles=CYCLES)
     robot.walk_to(5)
-    robot.finish()
+    robot.run()
     assert len(robot.sim.recorder.body_rows()) == CYCLES
     assert not any(robot.sim.recorder.summary()["absent_ticks"].values())
     falls += robot.sim.recorder.summary()["falls"]
@@ -679,7 +606,7 @@ def test_learning_is_switched_off_for_the_whole_robot(ros: Ros) -> None:
 
 def test_in_real_time_nobody_is_waited_for(ros: Ros) -> None:
     """A leg that is gone stops nothing and is named; the world is never faster than the wall."""
-    plan = dataclasses.replace(walk(), params=params(gait__period=0.1))
+    plan = dataclasses.replace(walk(), params=changed(Params(), gait__period=0.1))
     began = time.monotonic()
     robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000, "patience": 1000.0})
     diagnostics = ros.messages(topics.DIAGNOSTICS)
@@ -710,7 +637,7 @@ def test_in_real_time_lateness_is_counted_and_told_now_and_then(
     def told(text: str) -> list[str]:
         return [line for line in log() if text in line]
 
-    plan = dataclasses.replace(walk(), params=params(gait__period=1.0))
+    plan = dataclasses.replace(walk(), params=changed(Params(), gait__period=1.0))
     robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000})
     robot.walk_to(5)
     robot.kill("leg_front_right")
@@ -740,7 +667,7 @@ def test_in_real_time_the_world_stands_still_without_a_phase_and_goes_on_with_on
     ros: Ros,
 ) -> None:
     """The phase is what time is for the legs: without it nothing is stepped, in any mode."""
-    plan = dataclasses.replace(walk(), params=params(gait__period=0.1))
+    plan = dataclasses.replace(walk(), params=changed(Params(), gait__period=0.1))
     robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000})
     robot.walk_to(20)
     robot.kill("cpg_node")

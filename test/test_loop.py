@@ -12,19 +12,19 @@ import pytest
 
 from ember_ros.errors import ParameterError, TableError
 from ember_ros.loop import Loop
-from ember_ros.params import Params, replace
+from ember_ros.params import replace
 from ember_ros.params_file import load_params
 from ember_ros.plan import Plan, make_world
 from ember_ros.report.recorder import Recorder
-from ember_ros.signals import LEGS, TRAINER_LEG, BodyState, LegCommand, LegSense, Transition
+from ember_ros.signals import LEGS, TRAINER_LEG, LegSense
 from leg_node.gait import LegGait
 from leg_node.module import LegModule
-from leg_node.reward import Rewarder
-from leg_node.state import Partition
-from leg_node.table import Table, empty_table
+from leg_node.table import empty_table
 from leg_node.table_file import save_table
 from sim_node.fake import FakeWorld
+from support.learning import literally
 from support.needs import needs_bullet
+from support.runs import Heard
 
 PARAMS = load_params("plain")
 TICKS = PARAMS.gait.ticks
@@ -187,27 +187,6 @@ def test_a_wrong_table_is_refused_before_the_run(tmp_path: Path) -> None:
 # -- sharing -------------------------------------------------------------------------------------
 
 
-class Heard:
-    """An observer that keeps everything."""
-
-    def __init__(self) -> None:
-        self.phases: list[float] = []
-        self.senses: list[tuple[LegSense, ...]] = []
-        self.commands: list[list[LegCommand]] = []
-        self.bodies: list[BodyState] = []
-        self.transitions: list[list[Transition]] = []
-
-    def tick(
-        self, phase: float, senses: Any, commands: Any, body: BodyState, transitions: Any
-    ) -> None:
-        """Keep a tick."""
-        self.phases.append(phase)
-        self.senses.append(tuple(senses))
-        self.commands.append(list(commands))
-        self.bodies.append(body)
-        self.transitions.append(list(transitions))
-
-
 class PaidForSpeed:
     """A reward of one's own: the knee's speed, and a fine in stance."""
 
@@ -296,36 +275,6 @@ def test_a_lone_leg_does_not_notice_sharing(sync_every: int) -> None:
     assert runs[0] == runs[1]
 
 
-def paid(rewarder: Rewarder, sense: LegSense, stance: bool) -> float:
-    """Return the reward: its terms added one after the other, as no ``sum`` of Python 3.12 does."""
-    total = 0.0
-    for value in rewarder.terms(sense, stance).values():
-        total += value
-    return total
-
-
-def literally(heard: Heard, params: Params) -> Table:
-    """Return what four legs write into one table, tick by tick, leg by leg, from what was heard."""
-    table, learning = empty_table(params), params.walk
-    partition, rewarder = Partition(params), Rewarder(params)
-    gaits = [LegGait(params.gait, leg) for leg in LEGS]
-    speeds = params.leg.knee_speeds
-    for before, after in zip(range(len(heard.phases)), range(1, len(heard.phases)), strict=False):
-        pairs = []
-        for n, gait in enumerate(gaits):
-            old, new = heard.senses[before][n], heard.senses[after][n]
-            if new.restart:
-                continue
-            was, now = (gait.stance(heard.phases[tick]) for tick in (before, after))
-            action = speeds.index(heard.commands[before][n].knee_speed)
-            cell = partition.index(old, was) * len(speeds) + action
-            best = max(table.row(partition.index(new, now)))
-            pairs.append((cell, paid(rewarder, new, was) + learning.gamma * best))
-        for cell, target in pairs:
-            table.update(cell, target, learning.rate)
-    return table
-
-
 @two_worlds
 def test_a_sync_every_tick_is_a_literally_shared_table(where: str) -> None:
     """``sync_every = 1``: bit for bit the table that all legs read and write at every tick."""
@@ -335,7 +284,7 @@ def test_a_sync_every_tick_is_a_literally_shared_table(where: str) -> None:
         for _ in range(8 * TICKS):
             loop.tick(heard)
         table = loop.finish()
-    assert table.sha256() == literally(heard, params).sha256()
+    assert table.sha256() == literally([heard.seen], params).sha256()
 
 
 def test_legs_learn_from_each_other() -> None:

@@ -17,6 +17,7 @@ from leg_node.reward import Rewarder
 from leg_node.state import Partition
 from leg_node.table import Table, empty_table
 from sim_node.fake import FakeWorld
+from support.learning import paid
 
 PARAMS = load_params("plain")
 TICKS = PARAMS.gait.ticks
@@ -57,14 +58,6 @@ def live(
 def visits(leg: LegModule) -> int:
     """Return the number of updates in a leg's table."""
     return int(leg.copy.table.visits.sum())
-
-
-def paid(rewarder: Rewarder, sense: LegSense, stance: bool) -> float:
-    """Return the reward: its terms added one after the other, as no ``sum`` of Python 3.12 does."""
-    total = 0.0
-    for value in rewarder.terms(sense, stance).values():
-        total += value
-    return total
 
 
 # -- learning ------------------------------------------------------------------------------------

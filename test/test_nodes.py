@@ -26,7 +26,7 @@ from ember_ros.options import OPTIONS
 from ember_ros.params import SPECS, Params, cells_sha256
 from ember_ros.plan import Plan
 from ember_ros.run import SUMMARY
-from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Pair, Phase, Transition
+from ember_ros.signals import LEGS, LegSense, Pair
 from ember_ros.spinning import main_of
 from leg_node.module import LegModule
 from leg_node.node import LegNode
@@ -35,17 +35,14 @@ from leg_node.table import empty_table
 from leg_node.table_file import load_table, save_table
 from leg_node.table_node import TableNode
 from sim_node.node import FINISHED, SimNode
+from support.robot import overrides
 from support.ros import Ros
+from support.runs import Heard
 
 NODES = (SimNode, CpgNode, LegNode, TableNode)
 NEEDED: dict[Any, dict[str, Any]] = {LegNode: {"leg": "rear_left"}}
 """Parameters without which a node does not start."""
 TICK_NS = Params().gait.tick_ns
-
-
-def given(parameters: dict[str, Any]) -> list[Parameter]:
-    """Return parameters as rclpy takes them."""
-    return [Parameter(name, value=value) for name, value in parameters.items()]
 
 
 def make(ros: Ros, kind: Any, namespace: str = "", /, **parameters: Any) -> Any:
@@ -55,7 +52,7 @@ def make(ros: Ros, kind: Any, namespace: str = "", /, **parameters: Any) -> Any:
         kind(
             context=ros.context,
             namespace=namespace,
-            parameter_overrides=given({**NEEDED.get(kind, {}), **named}),
+            parameter_overrides=overrides({**NEEDED.get(kind, {}), **named}),
         )
     )
 
@@ -274,11 +271,11 @@ def test_parameters_can_be_dumped(ros: Ros, kind: Any) -> None:
 def test_a_leg_is_named_by_either_word(ros: Ros) -> None:
     """``leg`` and ``leg_name`` at the start, alike; two names that differ are refused."""
     for names in ({"leg": "rear_left"}, {"leg_name": "rear_left"}):
-        node = LegNode(context=ros.context, parameter_overrides=given(names))
+        node = LegNode(context=ros.context, parameter_overrides=overrides(names))
         assert node.module.leg == "rear_left"
         assert declared(node)["leg_name"] == "rear_left"
         node.destroy_node()
-    both = given({"leg": "rear_left", "leg_name": "front_left"})
+    both = overrides({"leg": "rear_left", "leg_name": "front_left"})
     with pytest.raises(ParameterError, match="contradict"):
         LegNode(context=ros.context, parameter_overrides=both)
 
@@ -393,9 +390,9 @@ def test_a_wrong_parameter_is_a_clear_error(
     ros: Ros, kind: Any, wrong: dict[str, Any], names: str
 ) -> None:
     """The constructor raises an EmberError that names it; the fixture sees no node left."""
-    overrides = given({**NEEDED.get(kind, {}), **wrong})
+    mistaken = overrides({**NEEDED.get(kind, {}), **wrong})
     with pytest.raises(EmberError, match=names):
-        kind(context=ros.context, parameter_overrides=overrides)
+        kind(context=ros.context, parameter_overrides=mistaken)
 
 
 @pytest.mark.parametrize("kind", NODES)
@@ -406,7 +403,7 @@ def test_parameters_of_other_nodes_are_let_pass(ros: Ros, kind: Any) -> None:
         for name, s in SPECS.items()
     }
     options = {name: option.default for name, option in OPTIONS.items()} | NEEDED.get(kind, {})
-    node = kind(context=ros.context, parameter_overrides=given(every | options))
+    node = kind(context=ros.context, parameter_overrides=overrides(every | options))
     node.destroy_node()
 
 
@@ -417,11 +414,11 @@ def test_a_table_of_other_cells_is_refused(ros: Ros, tmp_path: Path) -> None:
     save_table(file, empty_table(other), other, 0)
     wrong = {"table": str(file), "state.hip_low": -0.6}
     with pytest.raises(TableError, match="another partition"):
-        TableNode(context=ros.context, parameter_overrides=given(wrong))
+        TableNode(context=ros.context, parameter_overrides=overrides(wrong))
     with pytest.raises(TableError, match="another partition"):
         LegNode(
             context=ros.context,
-            parameter_overrides=given({**wrong, "shared": False, "leg": "leg"}),
+            parameter_overrides=overrides({**wrong, "shared": False, "leg": "leg"}),
         )
     with pytest.raises(ParameterError, match="neither loads nor saves"):
         make(ros, LegNode, table=str(file))
@@ -449,48 +446,29 @@ def test_a_cpg_says_the_phase_of_every_clock_once(ros: Ros) -> None:
 # -- a leg alone -------------------------------------------------------------------------------
 
 
-class Tape:
-    """The senses and phases of a run, to be played to a leg."""
-
-    def __init__(self) -> None:
-        """Begin empty."""
-        self.ticks: list[tuple[Phase, tuple[LegSense, ...]]] = []
-
-    def tick(
-        self,
-        phase: Phase,
-        senses: Sequence[LegSense],
-        commands: Sequence[LegCommand | None],
-        body: BodyState,
-        transitions: Sequence[Transition | None],
-    ) -> None:
-        """Record a tick."""
-        self.ticks.append((phase, tuple(senses)))
-
-
 @pytest.fixture(scope="module")
-def tape() -> Tape:
+def tape() -> Heard:
     """Record four cycles of the walker."""
-    loop, tape = Loop(Plan("walker", 4, seed=7)), Tape()
+    loop, tape = Loop(Plan("walker", 4, seed=7)), Heard()
     for _ in range(128):
         loop.tick(tape)
     loop.close()
     return tape
 
 
-def alone(leg: str, tape: Tape) -> tuple[list[bytes], str]:
+def alone(leg: str, tape: Heard) -> tuple[list[bytes], str]:
     """Return the commands of a leg without ROS to which a tape is played, and its table's hash."""
     module = LegModule(Params(), leg, seed=3, shared=False)
     pack = wire.CommandWire(leg, TICK_NS).pack
-    commands = [pack(module.tick(senses[LEGS.index(leg)], phase)) for phase, senses in tape.ticks]
-    assert module.copy.table.visits.sum() == len(tape.ticks) - 1
+    commands = [pack(module.tick(senses[LEGS.index(leg)], phase)) for phase, senses, _ in tape.seen]
+    assert module.copy.table.visits.sum() == len(tape.seen) - 1
     return commands, module.copy.table.sha256()
 
 
 def play(
     ros: Ros,
     leg: str,
-    tape: Tape,
+    tape: Heard,
     order: Callable[[int], Sequence[int]] = lambda n: (0, 1, 2),
     between: Callable[[int], None] = lambda n: None,
 ) -> tuple[list[bytes], Any]:
@@ -503,7 +481,7 @@ def play(
     heard = (topics.joint_states(leg), topics.contact(leg), topics.PHASE)
     publishers = [ros.publisher(topic) for topic in heard]
     packer = wire.SenseWire(leg, TICK_NS)
-    for n, (phase, senses) in enumerate(tape.ticks):
+    for n, (phase, senses, _) in enumerate(tape.seen):
         between(n)
         data = [*packer.pack(senses[LEGS.index(leg)]), wire.pack_phase(phase)]
         for which in order(n):
@@ -515,7 +493,7 @@ def play(
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_what_other_legs_hear_and_say_changes_no_bit_of_a_leg(
-    ros: Ros, tape: Tape, seed: int
+    ros: Ros, tape: Heard, seed: int
 ) -> None:
     """Locality: a leg fed recorded senses and phases commands and learns the same, bit for bit.
 
@@ -542,7 +520,7 @@ def test_what_other_legs_hear_and_say_changes_no_bit_of_a_leg(
     assert node.refused == 0
 
 
-def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: Tape) -> None:
+def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: Heard) -> None:
     """Senses and phase of a tick may come in any order, and twice; the commands are the same."""
     rng = np.random.default_rng(0)
 
@@ -554,7 +532,7 @@ def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: Tape) -> N
     assert (commands, node.module.copy.table.sha256()) == alone("front_left", tape)
 
 
-def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: Tape) -> None:
+def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: Heard) -> None:
     """While ``table/push`` is not served yet its first push would be lost: it waits for both."""
     shared = SharedTable(
         empty_table(Params()), cells=cells_sha256(Params()), rate=Params().walk.rate
@@ -572,7 +550,7 @@ def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: 
     make(ros, LegNode, leg="rear_left")
     topics.PULL.serve(ros.node, pull)
     answers = ros.messages(topics.command("rear_left"), raw=True)
-    phase, senses = tape.ticks[0]
+    phase, senses, _ = tape.seen[0]
     joints, contact = wire.SenseWire("rear_left", TICK_NS).pack(senses[2])
     ros.publisher(topics.joint_states("rear_left")).publish(joints)
     ros.publisher(topics.contact("rear_left")).publish(contact)
@@ -855,7 +833,7 @@ def test_a_table_that_could_never_be_saved_is_refused_at_once(ros: Ros, tmp_path
     with pytest.raises(TableError, match=r"cannot write the table .*folder/table\.npz"):
         TableNode(
             context=ros.context,
-            parameter_overrides=given({"save": str(tmp_path / "folder" / "table.npz")}),
+            parameter_overrides=overrides({"save": str(tmp_path / "folder" / "table.npz")}),
         )
 
 

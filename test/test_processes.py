@@ -30,19 +30,15 @@ from ember_ros.report.recorder import load_record
 from ember_ros.seat import TAKEN, TakenError
 from ember_ros.signals import LEGS
 from leg_node.table_file import load_table
+from support.robot import LEG_NODES, PATIENCE_S, level
 from support.ros import Ros
 from support.runs import Bits
 
 CYCLES = 20
 TICKS = 32
 FOREVER = 10**6
-PATIENCE_S = 30.0
-"""Wall time that nodes wait where bits are compared: a busy machine must not change them."""
 STOP_S = 20.0
 """Wall time in which a process that was asked to stop must have stopped."""
-
-
-LEG_NODES = tuple(f"leg_{leg}" for leg in LEGS)
 
 
 def wire_tick(message: Any) -> int:
@@ -168,8 +164,7 @@ class Fleet:
         """Return the level and the text of a part in the last diagnostics."""
         if not self.diagnostics:
             return b"", ""
-        (status,) = (s for s in self.diagnostics[-1].status if s.name == name)
-        return status.level, status.message
+        return level(self.diagnostics[-1], name)
 
     def until(self, condition: Callable[[], Any], what: str) -> None:
         """Spin until a condition holds; nobody but who was killed may have ended."""

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from ember_ros import topics, wire
 from ember_ros.bag.card import Card
 from ember_ros.bag.reading import Bag, Raw
-from ember_ros.bag.recording import Recording, absolute
+from ember_ros.bag.recording import absolute
 from ember_ros.bag.relearn import relearn
 from ember_ros.bag.replay import Difference, Replayed, by_loop, replay, verdict
-from ember_ros.bag.storage import BagOptions, BagWriter, read_metadata
+from ember_ros.bag.storage import BagOptions, read_metadata
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.graph import by_graph
 from ember_ros.loop import Loop
@@ -25,19 +24,19 @@ from ember_ros.params import Params, replace
 from ember_ros.plan import Plan
 from ember_ros.run import run
 from ember_ros.shipped import BAG, DATA
-from ember_ros.signals import LEGS, LegCommand, LegSense
-from ember_ros.versions import versions
-from leg_node.gait import LegGait
-from leg_node.reward import Rewarder
-from leg_node.state import Partition
-from leg_node.table import Table, empty_table
+from ember_ros.signals import LEGS, LegCommand
+from leg_node.table import empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
+from support import bags
+from support.bags import Made, write
+from support.learning import Seen, literally
 from support.needs import needs_bags, needs_bullet
+from support.plans import small_plan
 from support.ros import Ros
 
 if TYPE_CHECKING:
-    from sim_node.world import World
+    pass
 
 pytestmark = needs_bags
 
@@ -48,51 +47,20 @@ FALLS = {50, 51, 128}
 """The last one is where an epoch and, with ``smooth_every`` of 4, a smoothed reading begin."""
 
 
-SMALL: dict[str, Any] = {
-    "state.hip_bins": 5, "state.force_edges": [0.25, 1.0], "state.inclination_edges": [-0.6, -0.4],
-    "walk.epsilon_start": 0.2, "walk.epsilon_end": 0.2,
-}  # fmt: skip
 """A walker that explores, on a small table: its cells are visited often, and it is saved fast."""
 
 
-def params(**changes: Any) -> Params:
-    """Return numbers of a small walker with some changed; ``__`` stands for the dot."""
-    named = {name.replace("__", "."): value for name, value in changes.items()}
-    return replace(Params(), SMALL | named)
+def plan(cycles: int = CYCLES, **options: Any) -> Plan:
+    """Return a plan on a small table; options with ``__`` in their names are parameters."""
+    return small_plan(cycles, **options)
 
 
-def plan(cycles: int = CYCLES, *, world: str = "walker", seed: int = 3, **options: Any) -> Plan:
-    """Return a plan; options with ``__`` in their names are parameters."""
-    changes = {name: options.pop(name) for name in list(options) if "__" in name}
-    return Plan(world, cycles, seed=seed, params=params(**changes), **options)
+def record(bag: Path, plan: Plan, **how: Any) -> Made:
+    """Record a run of a plan in a world with falls."""
+    return bags.record(bag, plan, falls_at=FALLS, **how)
 
 
-class Made(NamedTuple):
-    """A run that was recorded."""
-
-    bag: Path
-    plan: Plan
-    ticks: int
-    table: str
-    """SHA-256 at the end."""
-
-
-def record(folder: Path, plan: Plan, *, extra: int = 0, world: World | None = None) -> Made:
-    """Record a run of a plan in the loop, and some ticks more, in a world with falls."""
-    loop = Loop(plan, world or FakeWorld(plan.legs, plan.params, falls_at=FALLS))
-    writer = BagWriter(BagOptions(folder))
-    try:
-        card = Card.of_plan(plan, loop.shared.table, versions())
-        recording = Recording(writer, card, loop.shared.table)
-        for _ in range(plan.cycles * plan.params.gait.ticks + extra):
-            loop.tick(recording)
-        recording.finish()
-        sha = loop.finish().sha256()
-        writer.close({"table_sha256": sha})
-        return Made(folder, plan, recording.ticks, sha)
-    finally:
-        writer.abandon()
-        loop.close()
+raws_of = functools.cache(bags.raws_of)
 
 
 WAYS = {"loop": by_loop, "graph": by_graph}
@@ -104,30 +72,11 @@ def again(bag: Path, on: str = "loop") -> Replayed:
         return replay(opened, run=WAYS[on])
 
 
-@functools.cache
-def raws_of(bag: Path) -> list[Raw]:
-    """Return all messages of a bag, in order."""
-    with Bag(bag) as opened:
-        return list(opened.raw())
-
-
-def copy(raws: Iterable[Raw], folder: Path, table_sha256: str | None = None) -> Path:
-    """Write messages into a bag."""
-    writer = BagWriter(BagOptions(folder))
-    try:
-        for raw in raws:
-            writer.write(writer.channel(raw.topic, raw.kind), raw.ns, raw.data)
-        writer.close({"table_sha256": table_sha256} if table_sha256 else None)
-    finally:
-        writer.abandon()
-    return folder
-
-
 def rewrite(made: Made, folder: Path, change: Callable[[Raw], bytes | None]) -> Path:
     """Copy a bag message by message; ``change`` returns what becomes of one, None for nothing."""
     changed = ((raw, change(raw)) for raw in raws_of(made.bag))
-    return copy(
-        (raw._replace(data=data) for raw, data in changed if data is not None), folder, made.table
+    return write(
+        folder, (raw._replace(data=data) for raw, data in changed if data is not None), made.table
     )
 
 
@@ -435,7 +384,7 @@ def test_a_bag_that_was_cut_off_is_equal_up_to_there(
 ) -> None:
     """Messages up to the middle of a tick's commands: that tick too, as far as it is there."""
     kept = [raw for raw in raws_of(walked.bag) if raw.ns <= 77 * TICK_NS][:-7]
-    done = again(copy(kept, tmp_path / "bag"), on_graph)
+    done = again(write(tmp_path / "bag", kept), on_graph)
     assert (done.ticks, done.missing, done.difference) == (78, None, None)
     assert done.compared == 4 * 77 + 1
     assert done.unanswered == dict.fromkeys(LEGS[1:], 1)
@@ -573,39 +522,10 @@ def test_relearning_from_the_table_of_the_run_gives_its_table(
     assert learnt.updates == learnt.table.visits.sum() - before
 
 
-def paid(rewarder: Rewarder, sense: LegSense, stance: bool) -> float:
-    """Return the reward: its terms added one after the other, as no ``sum`` of Python 3.12 does."""
-    total = 0.0
-    for value in rewarder.terms(sense, stance).values():
-        total += value
-    return total
-
-
-def literally(bags: Sequence[Path], own: Params) -> Table:
-    """Return what four legs learn into one table, tick by tick and leg by leg, from bags."""
-    table, learning = empty_table(own), own.walk
-    partition, rewarder = Partition(own), Rewarder(own)
-    gaits = [LegGait(own.gait, leg) for leg in LEGS]
-    speeds = own.leg.knee_speeds
-    for path in bags:
-        with Bag(path) as bag:
-            ticks = list(bag.ticks())
-        for before, after in itertools.pairwise(ticks):
-            pairs = []
-            for n, gait in enumerate(gaits):
-                old, new, did = before.senses[n], after.senses[n], before.commands[n]
-                assert old is not None
-                assert new is not None
-                assert did is not None
-                if new.restart:
-                    continue
-                was, now = gait.stance(before.phase), gait.stance(after.phase)
-                cell = partition.index(old, was) * len(speeds) + speeds.index(did.knee_speed)
-                best = max(table.row(partition.index(new, now)))
-                pairs.append((cell, paid(rewarder, new, was) + learning.gamma * best))
-            for cell, target in pairs:
-                table.update(cell, target, learning.rate)
-    return table
+def seen(bag: Path) -> list[Seen]:
+    """Return what legs could see in a bag."""
+    with Bag(bag) as opened:
+        return [(tick.phase, tick.senses, tick.commands) for tick in opened.ticks()]
 
 
 def test_relearning_with_other_numbers_is_what_would_have_been_learnt(runs: list[Made]) -> None:
@@ -619,7 +539,7 @@ def test_relearning_with_other_numbers_is_what_would_have_been_learnt(runs: list
     bags = [made.bag for made in runs]
     learnt = relearn(bags, changes)
     assert learnt.params == own
-    assert learnt.table.sha256() == literally(bags, own).sha256()
+    assert learnt.table.sha256() == literally(map(seen, bags), own).sha256()
 
 
 def test_many_bags_are_learnt_from_one_after_the_other(runs: list[Made]) -> None:
@@ -779,7 +699,7 @@ def test_two_runs_in_one_bag_are_not_taken_for_one(
     then = [raw._replace(ns=raw.ns + life * TICK_NS) for raw in raws_of(runs[2].bag)]
     both = [raw for raw in first + then if "/run/" not in raw.topic]
     with pytest.raises(BagError, match="there are two runs in this bag"):
-        relearn([copy(both, tmp_path / "bag")], params=runs[0].plan.params)
+        relearn([write(tmp_path / "bag", both)], params=runs[0].plan.params)
 
 
 def test_a_change_that_is_none_is_refused(walked: Made) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 from cpg_node.node import CpgNode
 from ember_ros import seat, topics, wire
@@ -26,11 +25,11 @@ from ember_ros.spinning import main_of
 from leg_node.node import LegNode
 from leg_node.table_node import TableNode
 from sim_node.node import SimNode
+from support.robot import PATIENCE_S, overrides
 from support.ros import Ros
 from support.runs import Bits
 
 PLAN = Plan("walker", 6, seed=4, params=replace(Params(), {"walk.sync_every": 32}))
-PATIENCE_S = 30.0
 SOON_S = 1.0
 """Wall time for a lease where nobody is to be waited for."""
 MAKERS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -46,7 +45,7 @@ def make(ros: Ros, place: str, **kwargs: Any) -> Any:
     kind, options = MAKERS[place]
     return kind(
         context=ros.context,
-        parameter_overrides=[Parameter(n, value=v) for n, v in options.items()],
+        parameter_overrides=overrides(options),
         **kwargs,
     )
 
@@ -74,11 +73,11 @@ def test_a_second_node_of_one_name_is_refused_and_a_successor_is_not(ros: Ros, p
 def test_a_table_that_comes_second_touches_no_file(ros: Ros, tmp_path: Path) -> None:
     """Snapshot and journal are the first one's."""
     file = tmp_path / "table.npz"
-    given = [Parameter("save", value=str(file))]
-    first = ros.add(TableNode(context=ros.context, parameter_overrides=given))
+    save = overrides({"save": str(file)})
+    first = ros.add(TableNode(context=ros.context, parameter_overrides=save))
     before = {each: each.stat().st_mtime_ns for each in tmp_path.iterdir()}
     with pytest.raises(TakenError):
-        TableNode(context=ros.context, parameter_overrides=given)
+        TableNode(context=ros.context, parameter_overrides=save)
     assert before
     assert {each: each.stat().st_mtime_ns for each in tmp_path.iterdir()} == before
     ros.remove(first)

@@ -19,6 +19,7 @@ from ember_ros.signals import LEGS, TRAINER_LEG, BodyState, LegCommand, LegSense
 from sim_node.fake import FakeWorld
 from sim_node.world import World
 from support.needs import needs_bullet
+from support.plans import changed
 
 PARAMS = Params()
 TICKS, LEG = PARAMS.gait.ticks, PARAMS.leg
@@ -45,7 +46,7 @@ def make() -> Iterator[Make]:
     made: list[World] = []
 
     def build(kind: str, seed: int = 3, **changes: Any) -> World:
-        params = replace(PARAMS, {name.replace("__", "."): x for name, x in changes.items()})
+        params = changed(PARAMS, **changes)
         if kind == "fake":
             made.append(FakeWorld(LEGS, params, falls_at={60, 61, 90}))
         else:

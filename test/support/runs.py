@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from ember_ros.loop import Loop
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import Recorder
+from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
 
 
 class Bits(NamedTuple):
@@ -43,3 +45,35 @@ def bits_of(table_sha256: str, summary: dict[str, Any]) -> Bits:
 def by_graph(graph: Any) -> Bits:
     """Return the bits of a ``Graph`` that has run."""
     return bits_of(graph.nodes["table_node"].shared.table.sha256(), graph.sim.recorder.summary())
+
+
+class Heard:
+    """An observer of a loop that keeps everything, a list a kind and an item a tick."""
+
+    def __init__(self) -> None:
+        """Begin with nothing."""
+        self.phases: list[Phase] = []
+        self.senses: list[tuple[LegSense, ...]] = []
+        self.commands: list[tuple[LegCommand, ...]] = []
+        self.bodies: list[BodyState] = []
+        self.transitions: list[tuple[Transition, ...]] = []
+
+    def tick(
+        self,
+        phase: Phase,
+        senses: Sequence[LegSense],
+        commands: Sequence[Any],
+        body: BodyState,
+        transitions: Sequence[Any],
+    ) -> None:
+        """Keep a tick."""
+        self.phases.append(phase)
+        self.senses.append(tuple(senses))
+        self.commands.append(tuple(commands))
+        self.bodies.append(body)
+        self.transitions.append(tuple(transitions))
+
+    @property
+    def seen(self) -> list[tuple[Phase, tuple[LegSense, ...], tuple[LegCommand, ...]]]:
+        """What legs could see: phase, senses and commands of each tick."""
+        return list(zip(self.phases, self.senses, self.commands, strict=True))

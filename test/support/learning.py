@@ -1,0 +1,48 @@
+"""What four legs learn, written a second time: plainly, and into one table."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+
+from ember_ros.params import Params
+from ember_ros.signals import LEGS, LegCommand, LegSense
+from leg_node.gait import LegGait
+from leg_node.reward import Rewarder
+from leg_node.state import Partition
+from leg_node.table import Table, empty_table
+
+Seen = tuple[float, Sequence[LegSense | None], Sequence[LegCommand | None]]
+"""A tick: its phase, and the senses and commands of all legs, of which none may be missing."""
+
+
+def paid(rewarder: Rewarder, sense: LegSense, stance: bool) -> float:
+    """Return the reward: its terms added one after the other, as no ``sum`` of Python 3.12 does."""
+    total = 0.0
+    for value in rewarder.terms(sense, stance).values():
+        total += value
+    return total
+
+
+def literally(runs: Iterable[Sequence[Seen]], params: Params) -> Table:
+    """Return what four legs write into one table in these runs, tick by tick and leg by leg."""
+    table, learning = empty_table(params), params.walk
+    partition, rewarder = Partition(params), Rewarder(params)
+    gaits = [LegGait(params.gait, leg) for leg in LEGS]
+    speeds = params.leg.knee_speeds
+    for run in runs:
+        for (phase, senses, commands), (next_phase, next_senses, _) in itertools.pairwise(run):
+            pairs = []
+            for gait, old, new, did in zip(gaits, senses, next_senses, commands, strict=True):
+                assert old is not None
+                assert new is not None
+                assert did is not None
+                if new.restart:
+                    continue
+                was, now = gait.stance(phase), gait.stance(next_phase)
+                cell = partition.index(old, was) * len(speeds) + speeds.index(did.knee_speed)
+                best = max(table.row(partition.index(new, now)))
+                pairs.append((cell, paid(rewarder, new, was) + learning.gamma * best))
+            for cell, target in pairs:
+                table.update(cell, target, learning.rate)
+    return table
