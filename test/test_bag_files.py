@@ -1234,6 +1234,7 @@ def test_a_bag_cut_off_near_the_end_of_a_chunk(whole: Whole, beside: int) -> Non
         cut(whole, each.end + beside, metadata=False)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.floats(0.0, 1.0), st.booleans())
 def test_a_bag_cut_off_anywhere(whole: Whole, share: float, metadata: bool) -> None:
@@ -1311,6 +1312,7 @@ def is_part(some: Iterable[Written], every: Iterable[Written]) -> bool:
     return all(each in rest for each in some)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(st.floats(0.0, 1.0, exclude_max=True), st.integers(0, 7))
 def test_whatever_bit_turns_nothing_is_made_up(whole: Whole, share: float, bit: int) -> None:
@@ -1700,6 +1702,7 @@ def test_two_readers_in_python_agree(state: str, tmp_path: Path) -> None:
     assert len({one["positions"] for one in joints}) > 1
 
 
+@pytest.mark.slow
 @every_state
 def test_a_reader_in_javascript_agrees(
     state: str, tmp_path: Path, by_javascript: Callable[[Path], dict[str, dict[str, Any]]]

@@ -158,6 +158,7 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # -- the recorder beside a robot ---------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("namespace", ["", "deep/robot_2"])
 def test_a_recorder_writes_the_bytes_that_the_world_writes(
     ros: Ros, tmp_path: Path, namespace: str
@@ -184,6 +185,7 @@ def test_a_recorder_writes_the_bytes_that_the_world_writes(
     assert done.table.sha256() == robot.table
 
 
+@pytest.mark.slow
 def test_a_recorder_records_every_robot_on_the_graph(ros: Ros, tmp_path: Path) -> None:
     """Two robots, one's name the beginning of the other's, one bag: each is replayed by itself."""
     plans = {"robot_1": plan(seed=8), "robot_12": plan(seed=9, walk__sync_every=4)}
@@ -269,6 +271,7 @@ def test_a_table_that_was_asked_for_too_late_is_not_the_one_at_the_start(
             replay(bag)
 
 
+@pytest.mark.slow
 def test_a_leg_that_dies_costs_its_commands_and_nothing_else(ros: Ros, tmp_path: Path) -> None:
     """The others, all senses and the body are there, tick by tick; the replay is equal."""
     own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"

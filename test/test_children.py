@@ -144,6 +144,7 @@ def test_nodes_end_with_the_process_that_started_them(out: Path) -> None:
     assert saved(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["loop", "graph", "processes"])
 def test_a_closed_terminal_ends_a_run_as_ctrl_c_does(out: Path, way: str) -> None:
     """The kernel sends SIGHUP, and nothing can be written any more: saved, 130, nobody left."""
@@ -170,6 +171,7 @@ def test_a_closed_terminal_ends_a_run_as_ctrl_c_does(out: Path, way: str) -> Non
     until(lambda: not named(out), "all have ended")
 
 
+@pytest.mark.slow
 def test_a_run_below_nohup_goes_on(out: Path) -> None:
     """A SIGHUP that was ignored from the start is none."""
     command = ["nohup", *EMBER, "walk", "--cycles", "40", "--on", "loop", "--out", str(out)]

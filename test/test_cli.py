@@ -110,6 +110,9 @@ class Interrupts(ModuleType):
 
 
 @pytest.mark.parametrize("way", ["loop", "graph", "processes"])
+@pytest.mark.parametrize(
+    "way", ["loop", "graph", pytest.param("processes", marks=pytest.mark.slow)]
+)
 def test_every_way_leaves_the_same_files(run: Run, table: Path, way: str) -> None:
     """Table, lines a cycle, summary and picture, whichever way it ran."""
     run("walk", "--cycles", 3, "--seed", 2, "--on", way, "--table", table, "--out", "o")
@@ -257,6 +260,7 @@ def test_a_path_that_standard_output_has_no_letters_for_is_spelt_out(tmp_path: P
     assert (out / TABLE).exists()
 
 
+@pytest.mark.slow
 def test_who_hears_only_the_first_line_ends_nothing(tmp_path: Path) -> None:
     """``ember params | head -1``: no traceback."""
     for words in (("params", "--describe"), ("train", "--cycles", "1", "--out", tmp_path / "run")):
@@ -382,6 +386,7 @@ def test_set_goes_with_the_files_not_with_the_defaults(run: Run) -> None:
     assert output.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_demo_trains_walks_and_draws(run: Run) -> None:
     """Both runs and a picture of both; a second demo replaces the first where it may."""
@@ -396,6 +401,7 @@ def test_demo_trains_walks_and_draws(run: Run) -> None:
     assert Path("out/demo/demo.png").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["graph", "processes"])
 def test_a_run_lives_beside_another_in_a_namespace_of_its_own(
     run: Run, free_domain: int, way: str
@@ -413,6 +419,7 @@ def test_a_run_lives_beside_another_in_a_namespace_of_its_own(
     assert a == b
 
 
+@pytest.mark.slow
 def test_a_namespace_is_of_the_demo_and_of_a_replay_too(run: Run, free_domain: int) -> None:
     """Beside a robot at the root; a bag's only robot is replayed in whichever is asked for."""
     seat = run_seat(free_domain, "")
@@ -427,6 +434,7 @@ def test_a_namespace_is_of_the_demo_and_of_a_replay_too(run: Run, free_domain: i
     assert "no robot in robot_2" in run("replay", "bag", *robot, code=2)
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_a_bag_of_the_loop_has_the_namespace_too(run: Run) -> None:
     """However a run was run, its bag has the same bytes."""
@@ -438,6 +446,7 @@ def test_a_bag_of_the_loop_has_the_namespace_too(run: Run) -> None:
     run("replay", "bag_loop", "--namespace", "robot_2")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["loop", "graph", "processes"])
 def test_ctrl_c_saves_what_was_learnt(tmp_path: Path, way: str) -> None:
     """SIGINT in the middle: exit code 130, a whole table that holds what was learnt."""
@@ -456,6 +465,7 @@ def test_ctrl_c_saves_what_was_learnt(tmp_path: Path, way: str) -> None:
     assert load_table(tmp_path / "o" / TABLE, Params())[0].visits.sum() > 100
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_bench_measures_every_way(run: Run) -> None:
     """A small one: every figure is there and positive; none is judged."""

@@ -359,6 +359,7 @@ def test_every_figure_is_asked_for_in_every_body() -> None:
         assert set(LEARNERS) <= {arm.labels["learner"] for arm in arms}
 
 
+@pytest.mark.slow
 def test_held_out_seeds_are_no_others() -> None:
     """They begin at 100 and meet no seed that is used elsewhere."""
     arms = STUDIES["walker"].arms(Size(10, 1, 10))
@@ -453,6 +454,7 @@ def ember(*words: Any) -> int:
 SMOKE = ("--seeds", 1, "--cycles", 2, "--walk-cycles", 10)
 
 
+@pytest.mark.slow
 def test_all_experiments_in_small(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Every experiment runs, and writes what it says; again, nothing is run and nothing changes."""
     words = ("experiment", "all", *SMOKE, "--out", tmp_path, "--trials", tmp_path / "trials")
@@ -483,6 +485,7 @@ def test_all_experiments_in_small(tmp_path: Path, capfd: pytest.CaptureFixture[s
     assert "REPRODUCTION.md" in "".join(capfd.readouterr())
 
 
+@pytest.mark.slow
 def test_results_of_other_code_are_told_apart(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -509,6 +512,7 @@ def test_results_of_other_code_are_told_apart(
     assert "fig5: not what this version" in capfd.readouterr().out
 
 
+@pytest.mark.slow
 def test_several_seeds_in_small(tmp_path: Path) -> None:
     """With more than one seed there are quartiles, and one experiment alone writes no document."""
     words = ("experiment", "fig5", "--seeds", 2, "--cycles", 4, "--out", tmp_path)

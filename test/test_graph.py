@@ -73,7 +73,13 @@ def refusals(nodes: dict[str, Any]) -> dict[str, int]:
 # -- the same bits -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("plan", PLANS.values(), ids=PLANS.keys())
+SLOW = {"walker, one table for all", "walker, the end within an epoch", "walker, scripted"}
+
+
+@pytest.mark.parametrize(
+    "plan",
+    [pytest.param(PLANS[n], id=n, marks=[pytest.mark.slow] * (n in SLOW)) for n in PLANS],
+)
 def test_the_graph_ends_with_the_bits_of_the_loop(
     ros: Ros,
     by_loop: Callable[[Plan], Bits],
@@ -88,6 +94,7 @@ def test_the_graph_ends_with_the_bits_of_the_loop(
         assert len(graph.sim.recorder.body_rows()) == plan.cycles
 
 
+@pytest.mark.slow
 def test_a_graph_runs_twice_the_same_way_and_from_a_table(
     ros: Ros,
     tmp_path: Path,
@@ -107,6 +114,7 @@ def test_a_graph_runs_twice_the_same_way_and_from_a_table(
     assert ends[0] != by_loop(PLANS["walker"])
 
 
+@pytest.mark.slow
 def test_two_robots_in_two_namespaces_do_not_feel_each_other(
     ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
@@ -130,6 +138,7 @@ def test_two_robots_in_two_namespaces_do_not_feel_each_other(
             assert not any(refusals(graph.nodes).values())
 
 
+@pytest.mark.slow
 def test_who_looks_on_changes_nothing(
     ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
@@ -193,6 +202,7 @@ def test_a_graph_that_is_stopped_early_keeps_what_was_learnt(ros: Ros) -> None:
 # -- falls -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_fall_is_counted_told_and_credited_to_nobody(
     ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
@@ -479,6 +489,7 @@ def test_a_table_node_can_be_changed_for_another_that_has_its_file(
     assert robot.run() == by_loop(walk())
 
 
+@pytest.mark.slow
 def test_legs_go_on_without_the_table_and_give_a_new_one_what_they_kept(ros: Ros) -> None:
     """Nothing that was learnt is lost or doubled between the table that died and the new one."""
     robot = Robot(ros, walk(), sim_node={"cycles": 2 * CYCLES, "patience": 5.0})

@@ -37,6 +37,7 @@ def test_what_slides_goes_as_far_in_every_direction_and_straight() -> None:
     assert spread(list(ways)) > 0.1 * min(ways)
 
 
+@pytest.mark.slow
 def test_walkers_turn_alike_whatever_their_heading() -> None:
     """Eight headings: the same walk, turned. By the world's axes they part at once."""
     from ember_ros.experiments.isotropy import headings, walk
@@ -67,6 +68,7 @@ def test_a_walker_keeps_its_heading_when_it_falls() -> None:
         world.close()
 
 
+@pytest.mark.slow
 def test_the_experiment_writes_what_its_page_says(tmp_path: Path) -> None:
     """By the command, small; and its page is made again from its numbers alone."""
     words = ["experiment", "isotropy", "--out", str(tmp_path), "--trials", str(tmp_path / "trials")]

@@ -42,6 +42,7 @@ DEADLINE_S = 300.0
 # -- mutants -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_no_mutant_harms_a_reader(tmp_path: Path) -> None:
     """Every mutant is read or refused in one line, in bounded time and memory; both happen."""
     words = [sys.executable, str(MUTATE), "--count", str(MUTANTS), "--out", str(tmp_path)]

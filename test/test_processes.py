@@ -34,6 +34,8 @@ from support.robot import LEG_NODES, PATIENCE_S, level
 from support.ros import Ros
 from support.runs import Bits
 
+pytestmark = pytest.mark.slow
+
 CYCLES = 20
 TICKS = 32
 FOREVER = 10**6

@@ -211,7 +211,15 @@ def test_a_tick_that_ended_in_a_fall_earns_nothing() -> None:
     assert rows == record(heard).rows
 
 
-@pytest.mark.parametrize(("cycles", "window"), [(1, 1), (3, 1), (4, 2), (399, 199), (401, 200)])
+@pytest.mark.parametrize(
+    ("cycles", "window"),
+    [
+        (1, 1),
+        (3, 1),
+        (4, 2),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((399, 199), (401, 200))),
+    ],
+)
 def test_summary_speaks_of_first_and_last_cycles(cycles: int, window: int) -> None:
     """Totals and windows follow from the body's lines; the windows share no cycle."""
     recorder = record(run(cycles * TICKS, falls_at=[20]))

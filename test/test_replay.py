@@ -730,6 +730,7 @@ def mcap_of(bag: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in bag.iterdir() if file.suffix == ".mcap"}
 
 
+@pytest.mark.slow
 @needs_bullet
 def test_loop_graph_and_processes_write_the_same_bytes(ros: Ros, tmp_path: Path) -> None:
     """One plan, three ways: MCAP files are equal, and replay equal on loop and on graph."""
