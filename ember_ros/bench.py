@@ -22,14 +22,15 @@ from ember_ros.graph import Graph, processes
 from ember_ros.loop import Loop
 from ember_ros.params import Params, cells_sha256
 from ember_ros.params_file import load_params
-from ember_ros.plan import WORLDS, Plan, make_world
+from ember_ros.plan import Plan
 from ember_ros.report.recorder import Recorder
 from ember_ros.run import TABLE
-from ember_ros.signals import BodyState, LegCommand, LegSense, Pair, Phase, Transition
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Pair, Transition
 from ember_ros.versions import provenance, versions
+from leg_node.assembly import empty_table
 from leg_node.shared import Push, SharedTable
-from leg_node.table import empty_table
 from leg_node.table_file import save_table
+from sim_node.worlds import WORLDS, make_world
 
 Say = Callable[[str], None]
 
@@ -42,12 +43,12 @@ class _Tape:
 
     def __init__(self) -> None:
         self.ticks: list[
-            tuple[Phase, tuple[LegSense, ...], tuple[LegCommand, ...], tuple[Transition, ...]]
+            tuple[Beat, tuple[LegSense, ...], tuple[LegCommand, ...], tuple[Transition, ...]]
         ] = []
 
     def tick(
         self,
-        phase: Phase,
+        beat: Beat,
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
@@ -56,7 +57,7 @@ class _Tape:
         """Keep one tick."""
         asked = tuple(c for c in commands if c is not None)
         paid = tuple(t for t in transitions if t is not None)
-        self.ticks.append((phase, tuple(senses), asked, paid))
+        self.ticks.append((beat, tuple(senses), asked, paid))
 
 
 def bench(
@@ -182,8 +183,8 @@ def _physics(plan: Plan, tape: _Tape) -> float:
     """Drive the motors as the loop did, and sense nothing."""
     world: Any = make_world(plan.world, plan.params, plan.seed)
     began = time.perf_counter()
-    for phase, _, commands, _ in tape.ticks:
-        world.coast(phase, commands)
+    for beat, _, commands, _ in tape.ticks:
+        world.coast(beat, commands)
     took = time.perf_counter() - began
     world.close()
     return took
@@ -238,17 +239,18 @@ def _conversion(plan: Plan, tape: _Tape) -> float:
     commands = [wire.CommandWire(leg, gait.tick_ns) for leg in plan.legs]
     transitions = [wire.TransitionWire(leg, gait.tick_ns) for leg in plan.legs]
     began = time.perf_counter()
-    for phase, felt, asked, paid in tape.ticks:
+    beats = wire.BeatWire(gait.tick_ns)
+    for beat, felt, asked, paid in tape.ticks:
         ns = wire.read_clock(wire.pack_clock(felt[0].tick * gait.tick_ns), "clock")
-        told = wire.pack_phase(phase)
-        wire.read_phase(told, gait.ticks, "phase")
+        told = beats.pack(beat)
+        beats.read(told)
         for sense_wire, command_wire, transition_wire, sense, command, did in zip(
             senses, commands, transitions, felt, asked, paid, strict=True
         ):
             joints, contact = sense_wire.pack(sense)
             tick, first = sense_wire.read_joints(joints)
             sense_wire.sense(tick, first, sense_wire.read_contact(contact)[1])
-            wire.read_phase(told, gait.ticks, "phase")
+            beats.read(told)
             command_wire.read(command_wire.pack(command))
             transition_wire.read(transition_wire.pack(did))
     assert ns == (len(tape.ticks) - 1) * gait.tick_ns
@@ -260,7 +262,7 @@ def _table_memory(params: Params, epochs: int) -> dict[str, int]:
     import tracemalloc
 
     cells = cells_sha256(params)
-    shared = SharedTable(empty_table(params), cells=cells, rate=params.walk.rate)
+    shared = SharedTable(empty_table(params), legs=4, cells=cells, rate=params.walk.rate)
     ticks, size = params.gait.ticks, len(shared.table)
     early = max(1, epochs // 10)
     seen: dict[str, int] = {}

@@ -54,7 +54,7 @@ def node_options(
             "save": str(out / "table.npz") if out else "",
             "seed": plan.seed,
         },
-        "cpg_node": {},
+        "cpg_node": {"world": plan.world},
     }
     for leg in plan.legs:
         nodes[f"leg_{leg}"] = {

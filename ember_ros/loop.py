@@ -5,24 +5,27 @@ The graph carries the same values in messages and must end with the same bits.
 
 from __future__ import annotations
 
-from cpg_node.cpg import FixedPeriod
+from cpg_node.cpg import Beats
+from ember_ros import parts
 from ember_ros.observer import Observer
 from ember_ros.params import cells_sha256
-from ember_ros.plan import Plan, make_world
-from ember_ros.signals import LegCommand, LegSense, Phase
+from ember_ros.plan import Plan
+from ember_ros.signals import Beat, LegCommand, LegSense
+from leg_node.assembly import empty_table, make_leg, numbers_of
 from leg_node.module import LegModule
 from leg_node.shared import SharedTable
-from leg_node.table import Table, empty_table
+from leg_node.table import Table
 from leg_node.table_file import load_table
 from sim_node.world import World
+from sim_node.worlds import make_world
 
 
-def act(shared: SharedTable, leg: LegModule, sense: LegSense, phase: Phase) -> LegCommand:
+def act(shared: SharedTable, leg: LegModule, sense: LegSense, beat: Beat) -> LegCommand:
     """Let a leg have its tick, between the two ends of its epoch."""
     upto = leg.copy.pull_due(sense.tick)
     if upto is not None:
         leg.copy.take(shared.pull(leg.copy.version, upto), upto)
-    command = leg.tick(sense, phase)
+    command = leg.tick(sense, beat)
     if leg.copy.close_epoch(sense.tick):
         _push(shared, leg)
     return command
@@ -30,6 +33,7 @@ def act(shared: SharedTable, leg: LegModule, sense: LegSense, phase: Phase) -> L
 
 def hand_in(shared: SharedTable, leg: LegModule, last_tick: int) -> None:
     """Let a leg push what it learnt since its last epoch ended."""
+    leg.finish()
     leg.copy.close_epoch(last_tick, early=True)
     _push(shared, leg)
 
@@ -48,14 +52,16 @@ class Loop:
 
         Raises:
             TableError: the plan's table cannot be used.
-            ParameterError: a leg or a policy does not exist.
+            ParameterError: a leg, a policy or a part does not exist.
         """
         params = plan.params
         table = load_table(plan.table, params)[0] if plan.table else empty_table(params)
-        numbers = params.walk if plan.stage == "walk" else params.train
-        self.shared = SharedTable(table, cells=cells_sha256(params), rate=numbers.rate)
+        numbers = numbers_of(params, plan.stage)
+        self.shared = SharedTable(
+            table, legs=len(plan.legs), cells=cells_sha256(params), rate=numbers.rate
+        )
         self.legs = [
-            LegModule(
+            make_leg(
                 params,
                 leg,
                 stage=plan.stage,
@@ -66,24 +72,23 @@ class Loop:
             )
             for leg in plan.legs
         ]
-        self.cpg = FixedPeriod(params.gait)
+        self.beats = Beats(parts.make(params, "cpg", params))
         self.world = world or make_world(plan.world, params, plan.seed)
         self.now = 0
         """The present tick."""
-        self._tick_ns = params.gait.tick_ns
 
     def tick(self, *observers: Observer) -> None:
         """Run one tick of the whole machine."""
         senses = self.world.observe()
-        phase = self.cpg.phase(self.now * self._tick_ns)
+        beat = self.beats.at(self.now, senses)
         commands = [
-            act(self.shared, leg, sense, phase)
+            act(self.shared, leg, sense, beat)
             for leg, sense in zip(self.legs, senses, strict=True)
         ]
         transitions = [leg.transition for leg in self.legs]
         for observer in observers:
-            observer.tick(phase, senses, commands, self.world.body(), transitions)
-        self.world.step(phase, commands)
+            observer.tick(beat, senses, commands, self.world.body(), transitions)
+        self.world.step(beat, commands)
         self.now += 1
 
     def finish(self) -> Table:

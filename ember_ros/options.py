@@ -16,12 +16,14 @@ class Option(NamedTuple):
     choices: tuple[str, ...] = ()
     path: bool = False
     """Whether it names a file or folder: ``~`` is the home then."""
+    own: bool = False
+    """Whether a dotted path of a class of one's own may stand for one of the choices."""
     declared: str = ""
     """What it is declared as, where its own name is a group's too and a dump would hold both."""
 
 
 OPTIONS = {
-    "world": Option("walker", "where the legs are mounted", ("walker", "trainer")),
+    "world": Option("walker", "where the legs are mounted", ("walker", "trainer"), own=True),
     "mode": Option("lockstep", "wait for all commands, or never", ("lockstep", "realtime")),
     "gui": Option(False, "show Bullet's window"),
     "cycles": Option(-1, "cycles to run; -1: until stopped"),
@@ -37,7 +39,9 @@ OPTIONS = {
     "leg": Option("", "the leg that this node is; `leg` as well at the start", declared="leg_name"),
     "start_cycle": Option(0, "cycles learnt before; exploration goes on from there"),
     "stage": Option("walk", "which learning numbers hold", ("walk", "train")),
-    "policy": Option("learned", "how the knee is chosen", ("learned", "scripted", "random")),
+    "policy": Option(
+        "learned", "how the knee is chosen", ("learned", "scripted", "random"), own=True
+    ),
     "learning": Option(True, "whether the leg learns"),
     "shared": Option(True, "whether the leg shares its table through the table services"),
     "table": Option("", "an .npz to start from, or `trained`; '' for an empty table", path=True),
@@ -78,8 +82,10 @@ def check_option(name: str, value: Any, default: Any) -> Any:
         value = float(value)
     if type(value) is not type(default):
         raise ParameterError(f"{name} = {value!r} must be a {type(default).__name__}: {option.doc}")
-    if option.choices and value not in option.choices:
-        raise ParameterError(f"{name} = {value!r} must be one of {', '.join(option.choices)}")
+    own = option.own and isinstance(value, str) and "." in value
+    if option.choices and value not in option.choices and not own:
+        more = ", or the dotted path of a class" if option.own else ""
+        raise ParameterError(f"{name} = {value!r} must be one of {', '.join(option.choices)}{more}")
     least = LEAST.get(name)
     if least is not None and not value >= least:  # NaN is not
         raise ParameterError(f"{name} = {value!r} must be {least} or more: {option.doc}")

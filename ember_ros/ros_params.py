@@ -25,6 +25,13 @@ from ember_ros.params_file import range_of
 def _descriptor(spec: Spec) -> ParameterDescriptor:
     described = ParameterDescriptor(description=f"{spec.doc} [{spec.unit}]", read_only=True)
     closed = math.isfinite(spec.low) and math.isfinite(spec.high)
+    if spec.form:
+        many = isinstance(spec.default, tuple)
+        described.type = (
+            ParameterType.PARAMETER_STRING_ARRAY if many else ParameterType.PARAMETER_STRING
+        )
+        described.description = f"{spec.doc} ({spec.form})"
+        return described
     if isinstance(spec.default, tuple):
         described.type = ParameterType.PARAMETER_DOUBLE_ARRAY
         closed = False  # a range is of one number

@@ -6,11 +6,11 @@ All names are relative, ``clock`` included: a namespace makes a second robot on 
 name                       type                        carries
 =========================  ==========================  ==========================================
 ``clock``                  rosgraph_msgs/Clock         simulated time: tick times tick length
-``cpg/phase``              std_msgs/Float64            cycles since the start, unwrapped
+``cpg/phase``              sensor_msgs/JointState      stamp, and cycles since the start, unwrapped
 ``<leg>/joint_states``     sensor_msgs/JointState      hip, knee: rad and rad/s
 ``<leg>/contact``          sensor_msgs/JointState      what the foot feels, see ``wire.CONTACT``
 ``<leg>/command``          sensor_msgs/JointState      hip, knee: rad/s and largest N m
-``<leg>/transition``       sensor_msgs/JointState      what the leg was paid, by term, and for what:
+``<leg>/transition``       sensor_msgs/JointState      state, action, reward by term, next state:
                                                        see ``wire.TRANSITION``
 ``falls``                  std_msgs/Int64              falls so far
 ``odometry``               nav_msgs/Odometry           the body's pose, for viewers and bags
@@ -124,7 +124,9 @@ class Service(NamedTuple):
 
 
 CLOCK = Topic("clock", "rosgraph_msgs/msg/Clock")
-PHASE = Topic("cpg/phase", "std_msgs/msg/Float64")
+PHASE = Topic("cpg/phase", JOINT_STATE)
+BARE_PHASE = Topic("cpg/phase", "std_msgs/msg/Float64")
+"""Of bags of before the phase had a stamp: a multiple of 1 / ``gait.ticks``."""
 FALLS = Topic("falls", "std_msgs/msg/Int64")
 ODOMETRY = Topic("odometry", "nav_msgs/msg/Odometry")
 DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
@@ -157,5 +159,5 @@ def command(leg: str) -> Topic:
 
 
 def transition(leg: str) -> Topic:
-    """Return the topic of what a leg did in the tick that ended, and what it was paid for it."""
+    """Return the topic of a leg's transitions: what it did, its reward, and what came of it."""
     return Topic(f"{leg}/transition", JOINT_STATE)

@@ -19,15 +19,16 @@ from typing import Any, NamedTuple
 
 from ember_ros import topics
 from ember_ros.errors import ParameterError, SignalError
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 
 JOINTS = ("hip", "knee")
 CONTACT = ("slip", "inclination", "hair", "touch", "restart", "load", "load_peak")
 """What ``<leg>/contact`` names. The first five are in ``position``: m, rad, and three bits as 0 or
 1; ``load`` and ``load_peak`` are in ``effort``: N, mean and largest of the tick. The rest is 0."""
-TRANSITION = ("stance", "state", "action")
-"""What ``<leg>/transition`` names first, in ``position``: 0 or 1, and two indexes, -1 where there
-is nothing to credit; every term of the reward follows by its own name, weighted."""
+TRANSITION = ("state", "stance", "action", "next_state", "next_stance", "td_error")
+"""What ``<leg>/transition`` names first, in ``position``: indexes, -1 where there is nothing to
+credit, bits as 0 or 1, and an error in units of the reward; every weighted term of the reward
+follows by its own name."""
 GIGA = 1_000_000_000
 CDR = b"\x00\x01\x00\x00"
 """The four bytes before every message: plain CDR, little endian."""
@@ -70,10 +71,10 @@ def tick_of(ns: int, tick_ns: int, where: str) -> int:
     return tick
 
 
-# -- clock and phase -------------------------------------------------------------------------
+# -- clock, and the phase of older bags -------------------------------------------------------
 
 _CLOCK = struct.Struct("<4siI")
-_PHASE = struct.Struct("<4sd")
+_BARE_PHASE = struct.Struct("<4sd")
 
 
 def pack_clock(ns: int) -> bytes:
@@ -97,25 +98,20 @@ def read_clock(data: Bytes, where: str) -> int:
     return int(sec * GIGA + nanosec)
 
 
-def pack_phase(phase: Phase) -> bytes:
-    """Return a std_msgs/Float64."""
-    return _PHASE.pack(CDR, phase)
-
-
-def read_phase(data: Bytes, ticks: int, where: str) -> tuple[int, Phase]:
-    """Return the tick that a std_msgs/Float64 names as phase, and the phase.
+def read_bare_phase(data: Bytes, ticks: int, where: str) -> Beat:
+    """Return the beat in a std_msgs/Float64, whose phase names its tick: of older bags.
 
     Raises:
         SignalError: it is not finite, under 0, or between ticks.
     """
-    if len(data) == _PHASE.size and data[:4] == CDR:
-        _, phase = _PHASE.unpack(data)
+    if len(data) == _BARE_PHASE.size and data[:4] == CDR:
+        _, phase = _BARE_PHASE.unpack(data)
     else:
-        phase = _deserialize(data, topics.PHASE.kind, where).data
+        phase = _deserialize(data, topics.BARE_PHASE.kind, where).data
     tick = phase * ticks
     if not 0.0 <= tick < 2.0**53 or tick != int(tick):
         raise SignalError(f"{where}: {phase!r} is no phase; a multiple of 1/{ticks} from 0 up is")
-    return int(tick), phase
+    return Beat(int(tick), phase)
 
 
 # -- joint states ----------------------------------------------------------------------------
@@ -248,6 +244,32 @@ class JointWire:
         return Stamped(stamp.sec * GIGA + stamp.nanosec, *numbers)
 
 
+class BeatWire:
+    """The message in which the beat travels."""
+
+    def __init__(self, tick_ns: int) -> None:
+        """Lay out the message."""
+        self._tick_ns = tick_ns
+        self._wire = JointWire("cpg", ("cpg",), "position")
+
+    def pack(self, beat: Beat) -> bytes:
+        """Return ``cpg/phase``."""
+        return self._wire.pack(beat.tick * self._tick_ns, (beat.phase,))
+
+    def read(self, data: Bytes) -> Beat:
+        """Return the beat in a message.
+
+        Raises:
+            SignalError: it does not carry what it should, or the phase is under 0.
+        """
+        where = topics.PHASE.name
+        stamped = self._wire.read(data, where)
+        (phase,) = stamped.first
+        if not 0.0 <= phase < 2.0**53:
+            raise SignalError(f"{where}: {phase!r} is no phase; 0 or more would be right")
+        return Beat(tick_of(stamped.ns, self._tick_ns, where), phase)
+
+
 class SenseWire:
     """The two messages in which a leg's senses travel."""
 
@@ -351,9 +373,9 @@ class TransitionWire:
         names = [name for name, _ in did.terms]
         if self._wire.names[len(TRANSITION) :] != names:
             self._wire = self._layout(names)
+        own = (did.state, did.stance, did.action, did.next_state, did.next_stance, did.td_error)
         return self._wire.pack(
-            did.tick * self._tick_ns,
-            (did.stance, did.state, did.action, *[value for _, value in did.terms]),
+            did.tick * self._tick_ns, (*own, *[value for _, value in did.terms])
         )
 
     def read(self, data: Bytes) -> Transition:
@@ -367,19 +389,23 @@ class TransitionWire:
         if stamped is None:  # of other terms than the last one, or not as we write it
             self._wire = self._layout(self._terms(data, where))
             stamped = self._wire.read(data, where)
-        stance, state, action, *values = stamped.first
-        if stance not in (0.0, 1.0) or state != int(state) or action != int(action):
+        state, stance, action, next_state, next_stance, td_error, *values = stamped.first
+        indexes, bits = (state, action, next_state), (stance, next_stance)
+        if any(each != int(each) or each < -1.0 for each in indexes) or set(bits) - {0.0, 1.0}:
             raise SignalError(
-                f"{where}: stance {stance}, state {state}, action {action}; a bit and two whole "
-                "numbers would be right"
+                f"{where}: state, action, next_state {indexes}, stance, next_stance {bits}; whole "
+                "numbers from -1 up, and bits as 0 or 1, would be right"
             )
         names = self._wire.names[len(TRANSITION) :]
         return Transition(
             tick_of(stamped.ns, self._tick_ns, where),
-            stance == 1.0,
             int(state),
+            stance == 1.0,
             int(action),
             tuple(zip(names, values, strict=True)),
+            int(next_state),
+            next_stance == 1.0,
+            td_error,
         )
 
     @staticmethod

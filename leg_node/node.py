@@ -16,11 +16,11 @@ from ember_ros import calls, topics, wire
 from ember_ros.errors import ParameterError, PushError, SignalError
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.seat import Seated
-from ember_ros.signals import LegCommand, LegSense, Phase
+from ember_ros.signals import Beat, LegCommand, LegSense
 from ember_ros.spinning import HAND_IN_S, main_of
 from ember_ros.throttle import Throttle
-from leg_node.inbox import Inbox
-from leg_node.module import LegModule
+from leg_node.assembly import make_leg
+from ember_ros.inbox import Inbox
 from leg_node.shared import Push
 from leg_node.table_file import load_table, save_table
 
@@ -33,16 +33,16 @@ class LegNode(Seated, Node):  # type: ignore[misc]
     """One leg: hears its own senses and the phase, calls the table, says its own command.
 
     Subscribes: ``<leg>/joint_states``, ``<leg>/contact`` (sensor_msgs/JointState), ``cpg/phase``
-    (std_msgs/Float64).
+    (sensor_msgs/JointState).
     Publishes: ``<leg>/command``, ``<leg>/transition`` (sensor_msgs/JointState).
     Calls: ``table/push``, ``table/pull``, unless ``shared`` is false or it has no use for a table
     (another policy than ``learned``, and ``learning`` false).
-    Parameters: ``gait.*``, ``leg.*``, ``state.*``, ``reward.*``, ``train.*``, ``walk.*``; ``leg``,
-    ``stage``, ``seed``, ``policy``, ``learning``, ``shared``, ``start_cycle``,
+    Parameters: ``gait.*``, ``leg.*``, ``robot.*``, ``parts.*``, ``state.*``, ``reward.*``,
+    ``script.*``, ``train.*``, ``walk.*``; ``leg``, ``stage``, ``seed``, ``policy``, ``learning``, ``shared``, ``start_cycle``,
     ``table_patience``; ``table`` and ``save`` for a leg that does not share.
     """
 
-    GROUPS = ("gait", "leg", "state", "reward", "train", "walk")
+    GROUPS = ("gait", "leg", "robot", "parts", "state", "reward", "script", "train", "walk")
     OPTIONS = (
         "leg", "stage", "seed", "policy", "learning", "shared", "start_cycle", "table", "save",
         "table_patience",
@@ -70,7 +70,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
             )
         self._params, self._seed = params, options["seed"]
         self._save = Path(options["save"]) if options["save"] else None
-        self.module = LegModule(
+        self.module = make_leg(
             params,
             options["leg"],
             stage=options["stage"],
@@ -85,8 +85,8 @@ class LegNode(Seated, Node):  # type: ignore[misc]
         self.refused = 0
         leg = self.module.leg
         self.take_seat(topics.command(leg))
-        self._ticks = params.gait.ticks
         self._inbox = Inbox("joints", "contact", "phase")
+        self._beats = wire.BeatWire(params.gait.tick_ns)
         self._senses = wire.SenseWire(leg, params.gait.tick_ns)
         self._commands = wire.CommandWire(leg, params.gait.tick_ns)
         self._transitions = wire.TransitionWire(leg, params.gait.tick_ns)
@@ -126,10 +126,11 @@ class LegNode(Seated, Node):  # type: ignore[misc]
         self._hear("contact", data, self._senses.read_contact)
 
     def _hear_phase(self, data: bytes) -> None:
-        self._hear("phase", data, self._read_phase)
+        self._hear("phase", data, self._read_beat)
 
-    def _read_phase(self, data: bytes) -> tuple[int, Phase]:
-        return wire.read_phase(data, self._ticks, topics.PHASE.name)
+    def _read_beat(self, data: bytes) -> tuple[int, Beat]:
+        beat = self._beats.read(data)
+        return beat.tick, beat
 
     def _hear(self, source: str, data: bytes, read: Callable[[bytes], tuple[int, Any]]) -> None:
         try:
@@ -146,7 +147,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
         if not self._inbox.put(source, tick, value):
             if self._inbox.began_anew():
                 self.get_logger().warning(f"time began anew at tick {tick}, the last was {last}")
-                self.module.restart(last, uuid.uuid4().hex)
+                self.module.reset(last, uuid.uuid4().hex)
                 self._look(tick)
             else:
                 self._refuse(f"{self.module.leg} {source}: tick {tick} is over, last was {last}")
@@ -161,25 +162,25 @@ class LegNode(Seated, Node):  # type: ignore[misc]
             return  # a leg does not start from nothing while the table is still starting
         values = self._inbox.take(tick)
         if values is not None:
-            joints, contact, phase = values
-            self._begin(self._senses.sense(tick, joints, contact), phase)
+            joints, contact, beat = values
+            self._begin(self._senses.sense(tick, joints, contact), beat)
 
     def _table_is_there(self) -> bool:
         return bool(self._pull.service_is_ready() and self._push.service_is_ready())
 
     # -- one tick ----------------------------------------------------------------------------
 
-    def _begin(self, sense: LegSense, phase: Phase) -> None:
+    def _begin(self, sense: LegSense, beat: Beat) -> None:
         """Pull if an epoch begins, then act."""
         upto = self.module.copy.pull_due(sense.tick)
         if upto is None or self._table_away:
-            self._act(sense, phase)
+            self._act(sense, beat)
             return
         future = self._pull.call_async(calls.write_pull(self.module.copy.version, upto))
         if self.module.copy.version is None:
-            waiting = self._wait(lambda: self._act(sense, phase), lambda: self._begin(sense, phase))
+            waiting = self._wait(lambda: self._act(sense, beat), lambda: self._begin(sense, beat))
         else:
-            waiting = self._wait(lambda: self._act(sense, phase))
+            waiting = self._wait(lambda: self._act(sense, beat))
         future.add_done_callback(lambda done: self._pulled(done, upto, waiting))
 
     def _pulled(self, future: Future, upto: int, waiting: Callable[[], None]) -> None:
@@ -192,9 +193,9 @@ class LegNode(Seated, Node):  # type: ignore[misc]
             self.module.copy.go_without(upto)
         self._go_on()
 
-    def _act(self, sense: LegSense, phase: Phase) -> None:
+    def _act(self, sense: LegSense, beat: Beat) -> None:
         """Have the tick, push if an epoch ends, then say the command."""
-        command = self.module.tick(sense, phase)
+        command = self.module.tick(sense, beat)
         self.module.copy.close_epoch(sense.tick)
         if self.module.copy.push_due() is None:
             self._say(command)
@@ -306,6 +307,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
         """Hand in what was learnt since the last epoch; wait a moment for the table to have it."""
         self.done = True
         self._waiting = self._held = None  # a tick that is not acted on yet teaches nothing more
+        self.module.finish()
         copy = self.module.copy
         copy.close_epoch(self._inbox.last, early=True)
         now = again = time.monotonic()

@@ -21,7 +21,7 @@ import numpy as np
 
 from ember_ros.errors import PushError
 from ember_ros.params import Rate
-from ember_ros.signals import LEGS, Pair
+from ember_ros.signals import Pair
 from leg_node.table import Floats, Ints, Table
 
 MOST_PENDING = 64
@@ -61,11 +61,14 @@ class Changes(NamedTuple):
 class SharedTable:
     """The merged table and the pushes that wait to be merged."""
 
-    def __init__(self, table: Table, *, cells: str, rate: Rate, version: int = 0) -> None:
+    def __init__(
+        self, table: Table, *, legs: int, cells: str, rate: Rate, version: int = 0
+    ) -> None:
         """Start from ``table``, which is owned from now on.
 
         Args:
             table: what was learnt before.
+            legs: how many there are.
             cells: SHA-256 that each push must carry.
             rate: bounds of the learning rate.
             version: to count from; beyond all versions of an earlier life of the same table.
@@ -73,8 +76,7 @@ class SharedTable:
         self.table = table
         self.version = version
         self.learning = True
-        self._cells = cells
-        self._rate = rate
+        self._legs, self._cells, self._rate = legs, cells, rate
         self._changed: Ints = np.full(len(table), version, dtype=np.int64)
         self._answer: tuple[tuple[int, int], Changes] | None = None
         self._pending: dict[int, list[Push]] = {}
@@ -177,10 +179,10 @@ class SharedTable:
                 f"{push.cells_sha256[:12]}..., here {self._cells[:12]}...); give the leg and the "
                 "table the same parameter file"
             )
-        if not 0 <= push.leg < len(LEGS) or push.epoch < 0 or not push.run:
+        if not 0 <= push.leg < self._legs or push.epoch < 0 or not push.run:
             raise PushError(
                 f"push of leg {push.leg}, run {push.run!r}, epoch {push.epoch}: leg must be 0 to "
-                f"{len(LEGS) - 1}, epoch 0 or more, and the run must have a name"
+                f"{self._legs - 1}, epoch 0 or more, and the run must have a name"
             )
         for pair in push.pairs:
             if not 0 <= pair.cell < len(self.table):
@@ -223,19 +225,18 @@ class LocalCopy:
         self._sent = 0  # how many of _unmerged are acknowledged, from the front
         self._base: dict[int, tuple[float, int]] = {}  # touched cells as the shared table has them
 
-    def learn(self, pair: Pair) -> None:
-        """Apply an update at once and keep its pair for the next push."""
+    def learn(self, pair: Pair) -> float:
+        """Apply an update at once, keep its pair for the next push, and return its error."""
         if self._sync_every:
             self._pairs.append(pair)
-            self._lay(pair)
-        else:
-            self.table.update(pair.cell, pair.target, self._rate)
+            return self._lay(pair)
+        return self.table.update(pair.cell, pair.target, self._rate)
 
-    def _lay(self, pair: Pair) -> None:
+    def _lay(self, pair: Pair) -> float:
         """Apply an update on top of the shared content, remembering what lies below."""
         if pair.cell not in self._base:
             self._base[pair.cell] = self.table.cell(pair.cell)
-        self.table.update(pair.cell, pair.target, self._rate)
+        return self.table.update(pair.cell, pair.target, self._rate)
 
     def pull_due(self, tick: int) -> int | None:
         """Return the epoch up to which to pull before the tick is acted on, or None."""

@@ -22,7 +22,8 @@ from ember_ros.errors import TableError, shown
 from ember_ros.given import open_file, read_json
 from ember_ros.params import MOST_CELLS, Params, as_dict, by_full_name, cells_sha256, params_sha256
 from ember_ros.shipped import TABLE, shipped_table
-from leg_node.table import Table, empty_table
+from leg_node.assembly import empty_table
+from leg_node.table import Table
 
 MOST_SHOWN = 8
 """Differences of parameters that are told one by one."""
@@ -130,9 +131,9 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
         raise TableError(f"{file} holds values that are not finite or visits under 0")
     if about.get("cells_sha256") != cells_sha256(params):
         raise TableError(
-            f"{file} was learnt with another partition of the state, other knee speeds or another "
-            "stance share (state.*, leg.load, leg.knee_speeds, gait.stance_share); load it with "
-            "the parameters it was learnt with"
+            f"{file} was learnt with another partition of the state, other knee speeds, another "
+            "stance share or other parts (state.*, leg.load, leg.knee_speeds, gait.stance_share, "
+            "parts.*); load it with the parameters it was learnt with"
         )
     if about.get("table_sha256") != table.sha256():
         raise TableError(f"{file} is damaged: its content does not have the SHA-256 it names")

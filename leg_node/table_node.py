@@ -20,9 +20,10 @@ from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.seat import Seated
 from ember_ros.spinning import main_of
 from ember_ros.throttle import Throttle
+from leg_node.assembly import empty_table, numbers_of
 from leg_node.journal import MOST_PUSHES, Journal, from_json, to_json
 from leg_node.shared import SharedTable
-from leg_node.table import Table, empty_table
+from leg_node.table import Table
 from leg_node.table_file import load_table, save_table, told_differences
 
 
@@ -32,11 +33,11 @@ class TableNode(Seated, Node):  # type: ignore[misc]
     Services: ``table/push`` (rcl_interfaces/SetParametersAtomically),
     ``table/pull`` (rcl_interfaces/GetParameters), ``table/save`` (std_srvs/Trigger),
     ``table/learning`` (std_srvs/SetBool).
-    Parameters: ``gait.*``, ``leg.*``, ``state.*``, ``train.*``, ``walk.*``; ``stage``, ``table``,
-    ``save``, ``seed``.
+    Parameters: ``gait.*``, ``leg.*``, ``robot.*``, ``parts.*``, ``state.*``, ``train.*``,
+    ``walk.*``; ``stage``, ``table``, ``save``, ``seed``.
     """
 
-    GROUPS = ("gait", "leg", "state", "train", "walk")
+    GROUPS = ("gait", "leg", "robot", "parts", "state", "train", "walk")
     OPTIONS = ("stage", "table", "save", "seed")
 
     def __init__(self, **kwargs: Any) -> None:
@@ -56,7 +57,8 @@ class TableNode(Seated, Node):  # type: ignore[misc]
         self.take_seat(topics.PUSH)  # before any file: they are the other one's, maybe
         self._save = Path(options["save"]) if options["save"] else None
         self._seed = options["seed"]
-        self._numbers = params.walk if options["stage"] == "walk" else params.train
+        self._numbers = numbers_of(params, options["stage"])
+        self._legs = len(params.robot.legs) if options["stage"] == "walk" else 1
         self._journal = Journal(self._save) if self._save else None
         self._born = time.time_ns()  # versions of a later life are greater than all before
         self._generation = 0
@@ -90,6 +92,7 @@ class TableNode(Seated, Node):  # type: ignore[misc]
     def _share(self, table: Table) -> SharedTable:
         return SharedTable(
             table,
+            legs=self._legs,
             cells=cells_sha256(self._params),
             rate=self._numbers.rate,
             version=self._born,

@@ -19,7 +19,7 @@ from typing import Any
 from ember_ros import kinematics
 from ember_ros.errors import ParameterError
 from ember_ros.params import Params
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense
 
 
 @contextlib.contextmanager
@@ -164,7 +164,7 @@ class BulletWorld(ABC):
         """Finish the freshly loaded robot: joints that no leg owns, friction, the body's pose."""
 
     @abstractmethod
-    def _drive(self, phase: Phase) -> None:
+    def _drive(self, beat: Beat) -> None:
         """Set the motors that no leg owns for the coming tick."""
 
     @abstractmethod
@@ -202,19 +202,19 @@ class BulletWorld(ABC):
         """Return what each leg senses at the present tick; calling twice gives the same."""
         return self._senses
 
-    def coast(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
+    def coast(self, beat: Beat, commands: Sequence[LegCommand | None]) -> None:
         """Advance by one tick and sense nothing: what physics alone costs, for benchmarks."""
         self._ground.turn(self._heading())
         self._set_motors(commands)
-        self._drive(phase)
+        self._drive(beat)
         for _ in range(self.params.physics.substeps):
             bullet.stepSimulation(self._client)
 
-    def step(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
+    def step(self, beat: Beat, commands: Sequence[LegCommand | None]) -> None:
         """Advance by one tick; a leg with ``None`` holds both its joints still."""
         self._ground.turn(self._heading())
         self._set_motors(commands)
-        self._drive(phase)
+        self._drive(beat)
         for mount in self._mounts:
             mount.clear()
         self._body_touched = False

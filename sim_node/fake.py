@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from ember_ros import kinematics
 from ember_ros.params import Params
-from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Phase
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense
 
 SINK_A_LOAD = 0.01
 """Depth under the ground at which a foot bears one load, m."""
@@ -40,7 +40,7 @@ class FakeWorld:
 
     def __init__(
         self,
-        legs: Sequence[str] = LEGS,
+        legs: Sequence[str] | None = None,
         params: Params | None = None,
         *,
         falls_at: Collection[int] = (),
@@ -48,13 +48,14 @@ class FakeWorld:
         """Build the world at tick 0.
 
         Args:
-            legs: their names, in the order of all sequences; any names, any number.
+            legs: their names, in the order of all sequences, any names, any number; those of
+                ``params.robot`` for None.
             params: geometry, load and gait; the defaults for None.
             falls_at: ticks at which all legs are found put back on their feet, after a fall in
                 the tick before.
         """
-        self.legs = tuple(legs)
         self.params = params or Params()
+        self.legs = tuple(legs or self.params.robot.legs)
         self._falls_at = frozenset(falls_at)
         gait, leg = self.params.gait, self.params.leg
         front, rear = (
@@ -85,7 +86,7 @@ class FakeWorld:
         height = self.params.leg.operating_height
         return BodyState(self._tick * self._way_a_tick, 0.0, height, 0.0, 0.0, 0.0, self._falls)
 
-    def step(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
+    def step(self, beat: Beat, commands: Sequence[LegCommand | None]) -> None:
         """Advance by one tick; a leg with ``None`` holds both its joints still."""
         self._tick += 1
         self._senses = tuple(

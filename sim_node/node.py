@@ -20,14 +20,14 @@ from ember_ros.bag.scribe import Scribe
 from ember_ros.bag.storage import BagOptions
 from ember_ros.errors import BagError, ParameterError, SignalError
 from ember_ros.observer import Observer
-from ember_ros.plan import legs_of, make_world
 from ember_ros.report.recorder import Recorder
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.seat import Seated
-from ember_ros.signals import LegCommand, Phase, Transition
+from ember_ros.signals import Beat, LegCommand, Transition
 from ember_ros.spinning import main_of
 from ember_ros.throttle import SAY_S, Throttle
 from sim_node.world import World
+from sim_node.worlds import make_world
 
 FINISHED = "summary.json"  # what `ember` writes last into the folder of a run
 WATCH_S = 0.05  # wall time between looks at who is late
@@ -46,18 +46,18 @@ class SimNode(Seated, Node):  # type: ignore[misc]
     A recorder node that says how far it is is waited for too, so that it loses nothing: in
     lockstep the world is never further ahead of it than what lies between two processes can hold.
 
-    Subscribes: ``cpg/phase`` (std_msgs/Float64), ``<leg>/command`` (sensor_msgs/JointState),
+    Subscribes: ``cpg/phase`` (sensor_msgs/JointState), ``<leg>/command`` (sensor_msgs/JointState),
     ``<leg>/transition`` (sensor_msgs/JointState) of legs that say what they were paid,
     ``recorder/tick`` (std_msgs/Int64).
     Publishes: ``clock`` (rosgraph_msgs/Clock), ``<leg>/joint_states``, ``<leg>/contact``
     (sensor_msgs/JointState), ``falls`` (std_msgs/Int64), ``odometry`` (nav_msgs/Odometry),
     ``diagnostics`` (diagnostic_msgs/DiagnosticArray).
-    Parameters: ``gait.*``, ``leg.*``, ``physics.*``, ``trainer.*``, ``walker.*``;
-    ``world``, ``mode``, ``gui``, ``cycles``, ``patience``, ``out``, ``seed``; ``bag``,
+    Parameters: ``gait.*``, ``leg.*``, ``physics.*``, ``trainer.*``, ``walker.*``,
+    ``robot.*``; ``world``, ``mode``, ``gui``, ``cycles``, ``patience``, ``out``, ``seed``; ``bag``,
     ``split_mb``, ``split_s`` to record a bag; ``recorder`` to wait for a node that does.
     """
 
-    GROUPS = ("gait", "leg", "physics", "trainer", "walker")
+    GROUPS = ("gait", "leg", "physics", "trainer", "walker", "robot")
     OPTIONS = (
         "world", "mode", "gui", "cycles", "patience", "out", "seed",
         "bag", "split_mb", "split_s", "recorder",
@@ -89,7 +89,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
         self.world = world or make_world(
             options["world"], params, options["seed"], gui=options["gui"]
         )
-        self.legs = self.world.legs if world else legs_of(options["world"])
+        self.legs = self.world.legs
         self.recorder = Recorder(params, self.legs, out)
         self.observers: list[Observer] = [self.recorder]
         """Who hears every tick."""
@@ -109,7 +109,8 @@ class SimNode(Seated, Node):  # type: ignore[misc]
         self._tick_ns, self._ticks = params.gait.tick_ns, params.gait.ticks
         self._last = options["cycles"] * self._ticks if options["cycles"] >= 0 else math.inf
         self._tick = 0
-        self._phase: Phase | None = None
+        self._beats = wire.BeatWire(self._tick_ns)
+        self._beat: Beat | None = None
         self._commands: dict[str, LegCommand] = {}
         self._transitions: dict[str, Transition] = {}
         self._telling: set[str] = set()  # legs that say what they were paid
@@ -165,16 +166,16 @@ class SimNode(Seated, Node):  # type: ignore[misc]
         if self.done:
             return
         try:
-            tick, phase = wire.read_phase(data, self._ticks, topics.PHASE.name)
+            beat = self._beats.read(data)
         except SignalError as why:
             self._refuse(why)
             return
-        if tick == self._tick and self._started:
-            self._phase = phase
+        if beat.tick == self._tick and self._started:
+            self._beat = beat
             self._heard[topics.PHASE.name] = data
             self._step_if_complete()
-        elif tick != self._tick:
-            self._refuse(f"cpg/phase: tick {tick} is not now, now is {self._tick}")
+        elif beat.tick != self._tick:
+            self._refuse(f"cpg/phase: tick {beat.tick} is not now, now is {self._tick}")
 
     def _listener(self, leg: str) -> Callable[[bytes], None]:
         where, reader = f"{leg}/command", wire.CommandWire(leg, self._tick_ns)
@@ -246,7 +247,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
 
     def _publish(self) -> None:
         """Say what is sensed at the present tick, and what time it is."""
-        self._phase = None
+        self._beat = None
         self._commands.clear()
         self._transitions.clear()
         self._heard.clear()
@@ -274,7 +275,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
 
     def _step_if_complete(self) -> None:
         """Step once the phase and the commands of everybody present are in."""
-        if self._realtime or self._held or self._phase is None or not self._commands:
+        if self._realtime or self._held or self._beat is None or not self._commands:
             return
         if all(self._answered(leg) or leg in self._absent for leg in self.legs):
             self._step()
@@ -285,12 +286,12 @@ class SimNode(Seated, Node):  # type: ignore[misc]
 
     def _step(self) -> None:
         """Advance the world by the present tick, and begin the next one."""
-        assert self._phase is not None
+        assert self._beat is not None
         commands = [self._commands.get(leg) for leg in self.legs]
         transitions = [self._transitions.get(leg) for leg in self.legs]
         for observer in self.observers:
             observer.tick(
-                self._phase, self.world.observe(), commands, self.world.body(), transitions
+                self._beat, self.world.observe(), commands, self.world.body(), transitions
             )
         if self._recording is not None:
             heard = self._heard.get
@@ -304,7 +305,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
             except BagError as error:
                 self._end_for(error)
                 return
-        self.world.step(self._phase, commands)
+        self.world.step(self._beat, commands)
         self._tick += 1
         if self._tick >= self._last or self.world.over:
             self.done = True
@@ -395,7 +396,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
             )
             self._recorded = None
             self._next()
-        elif self._phase is None:
+        elif self._beat is None:
             self._throttle.remind(
                 "phase", f"the phase of tick {self._tick} is missing: standing still"
             )
@@ -422,7 +423,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
         self._throttle.flush()
         if not self._started:
             self._start_if_all_there()
-        elif self._phase is None:
+        elif self._beat is None:
             self._throttle.remind(
                 "phase", f"the phase of tick {self._tick} is missing: standing still"
             )
@@ -465,7 +466,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
     def _diagnose(self) -> None:
         """Publish who is absent and what was refused."""
         stuck = self._started and time.monotonic() - self._since >= self._patience
-        no_phase = stuck and self._phase is None
+        no_phase = stuck and self._beat is None
         message = DiagnosticArray()
         wire.set_stamp(message.header.stamp, self._tick * self._tick_ns)
         sim = DiagnosticStatus(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from ember_ros.params import Params
+from ember_ros.params import TRAINER_LEG, Params
 from ember_ros.randomness import WORLD, generator
-from ember_ros.signals import TRAINER_LEG, BodyState, Phase
+from ember_ros.signals import Beat, BodyState
 from sim_node import bodies
 from sim_node.bullet import BulletWorld, bullet
 
@@ -32,6 +32,7 @@ class TrainerWorld(BulletWorld):
         """Build everything anew, as it was at tick 0."""
         self._rng = generator(self._seed, WORLD)
         self._stop = self._goal = self.params.trainer.stop_height
+        self._cycle = -1  # of the CPG, for which the goal was drawn
         super().reset()
 
     def body(self) -> BodyState:
@@ -73,11 +74,12 @@ class TrainerWorld(BulletWorld):
         start = max(self._stop, self.params.leg.operating_height)
         bullet.resetJointState(self._robot, hinge, self._angle(start), physicsClientId=client)
 
-    def _drive(self, phase: Phase) -> None:
+    def _drive(self, beat: Beat) -> None:
         trainer = self.params.trainer
         if trainer.modulation <= 0.0:
             return
-        if phase == int(phase):
+        if int(beat.phase) != self._cycle:
+            self._cycle = int(beat.phase)
             drawn = self._rng.normal(trainer.stop_height, trainer.modulation)
             self._goal = min(trainer.stop_high, max(trainer.stop_low, drawn))
         way = self._goal - self._stop

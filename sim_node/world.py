@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense
 
 
 class World(Protocol):
@@ -26,11 +26,11 @@ class World(Protocol):
         """Return what each leg senses at the present tick; calling twice gives the same."""
         ...
 
-    def step(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
+    def step(self, beat: Beat, commands: Sequence[LegCommand | None]) -> None:
         """Advance by one tick with these commands; a leg with ``None`` holds its joints still.
 
         Args:
-            phase: of the central pattern generator at the present tick.
+            beat: of the central pattern generator at the present tick.
             commands: one a leg, in the order of ``legs``.
         """
         ...

@@ -20,8 +20,9 @@ from ember_ros.params import (
     params_sha256,
     replace,
 )
-from ember_ros.plan import Plan, legs_of, stage_of
+from ember_ros.plan import Plan
 from leg_node.table import Table
+from sim_node.worlds import legs_of, spec_of, stage_of
 
 T = TypeVar("T")
 MOST_CHARACTERS = 1 << 20
@@ -101,7 +102,7 @@ class Card:
                 f"{cannot}this version does not know what {', '.join(self._gone())} did; `ember "
                 "bag info`, `csv`, `play` and `relearn` work with it"
             )
-        missing = [leg for leg in legs_of(self.world) if leg not in self.legs]
+        missing = [leg for leg in legs_of(self.world, self.params) if leg not in self.legs]
         if missing:
             raise BagError(f"{cannot}nothing is known of {', '.join(missing)}: not legs of ours")
         told = set(self.legs.values())
@@ -167,9 +168,9 @@ def read_card(text: str, where: str) -> Card:
         )
     try:
         stored = digest(content["params"])
-        params, filled, gone = _params(content["params"])
+        params, filled, gone = _params(_as_now(content["params"]))
         card = Card(
-            world=_one_of(content["world"], ("walker", "trainer")),
+            world=_world(content["world"]),
             legs={leg: _leg(told) for leg, told in content["legs"].items()},
             params=params,
             start_table_sha256=_text(content["start_table_sha256"]),
@@ -209,6 +210,28 @@ def _params(stored: Mapping[str, Any]) -> tuple[Params, dict[str, Value], dict[s
         name: NEUTRAL.get(name, spec.default) for name, spec in SPECS.items() if name not in known
     }
     return replace(Params(), {**known, **filled}), filled, gone
+
+
+def _as_now(stored: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return parameters as they are called now.
+
+    The phase offsets were numbers of the gait, one a leg, before the robot was described by lists.
+    """
+    gait = dict(stored["gait"])
+    legs = SPECS["robot.legs"].default
+    assert isinstance(legs, tuple)
+    offsets = [gait.pop(f"offset_{leg}", None) for leg in legs]
+    gait.pop("offset_leg", None)  # of the trainer's leg, where it means nothing
+    if None in offsets:
+        return stored
+    return {**stored, "gait": gait, "robot": {"offset": offsets}}
+
+
+def _world(value: Any) -> str:
+    """Return a world; whether one of somebody's own can be imported here is seen at a replay."""
+    if "." not in _of(str, value):
+        spec_of(value)
+    return str(value)
 
 
 def _leg(told: Mapping[str, Any]) -> LegCard:

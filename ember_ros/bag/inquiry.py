@@ -19,9 +19,10 @@ from ember_ros.bag.card import Card, LegCard
 from ember_ros.bag.recording import absolute
 from ember_ros.errors import EmberError
 from ember_ros.params import SPECS, Params, replace
-from ember_ros.plan import WORLDS, legs_of
 from ember_ros.versions import versions
-from leg_node.table import Table, empty_table
+from leg_node.assembly import empty_table
+from leg_node.table import Table
+from sim_node.worlds import legs_of, spec_of
 
 TABLE = topics.PULL.name
 
@@ -30,8 +31,10 @@ def _names(*groups: str) -> list[str]:
     return [name for name in SPECS if name.split(".")[0] in groups]
 
 
-OF_LEG = (*LegCard._fields, *_names("gait", "leg", "state", "reward", "train", "walk"))
-OF_SIM = ("world", *_names("physics", "trainer", "walker"))
+LEG_GROUPS = ("gait", "leg", "robot", "parts", "state", "reward", "script", "train", "walk")
+OF_LEG = (*LegCard._fields, *_names(*LEG_GROUPS))
+OF_SIM = ("world", *_names("physics", "trainer", "walker", "robot"))
+OF_CPG = ("parts.cpg",)
 _NAMELESS = "_NODE_NAME_UNKNOWN_"  # what a graph says of an endpoint before it knows the node
 
 
@@ -65,7 +68,8 @@ class Inquiry:
     def ask(self) -> list[str]:
         """Ask whom there is to ask; return who has not answered yet."""
         self._ask_publisher(topics.CLOCK.name, OF_SIM)
-        legs = [topics.command(leg).name for leg in legs_of(self.world)] if self.world else []
+        self._ask_publisher(topics.PHASE.name, OF_CPG)
+        legs = [topics.command(leg).name for leg in self.legs]
         for command in legs:
             self._ask_publisher(command, OF_LEG)
         if self._table is None:
@@ -74,7 +78,7 @@ class Inquiry:
                 service = absolute(self._namespace, TABLE)
                 self._questions[TABLE] = _Question(self._node, service, request)
             self._table = self._questions[TABLE].answer()
-        waiting = [name for name in (topics.CLOCK.name, *legs) if name not in self._told]
+        waiting = [name for name in (topics.CLOCK.name, topics.PHASE.name, *legs) if name not in self._told]
         return waiting if self._table is not None else [*waiting, TABLE]
 
     def _ask_publisher(self, topic: str, names: Sequence[str]) -> None:
@@ -101,7 +105,16 @@ class Inquiry:
     def world(self) -> str | None:
         """Return which world the sim node simulates; None where there is none, or not yet known."""
         world = self._told.get(topics.CLOCK.name, {}).get("world")
-        return world if world in WORLDS else None
+        try:
+            return spec_of(world).path and world if isinstance(world, str) else None
+        except EmberError:  # of a class that cannot be imported here
+            return None
+
+    @property
+    def legs(self) -> tuple[str, ...]:
+        """Return the names of the robot's legs, in order; none while the world is not known."""
+        world = self.world
+        return () if world is None else legs_of(world, self._params({}, []))
 
     def card(self, world: str, first_tick: int) -> tuple[Card, Table | None, list[str]]:
         """Return what determined the run, as far as it was answered.
@@ -127,10 +140,12 @@ class Inquiry:
         return self._params(self._legs(world, [])[1], [])
 
     def _params(self, numbers: dict[str, Any], wrong: list[str]) -> Params:
-        """Return the legs' numbers and the sim node's together; the defaults if they are wrong."""
+        """Return the legs' numbers, the sim node's and the CPG's; the defaults if they are wrong."""
         sim = self._told.get(topics.CLOCK.name, {})
+        cpg = self._told.get(topics.PHASE.name, {})
         try:
-            return replace(Params(), {**numbers, **{n: v for n, v in sim.items() if n in SPECS}})
+            own = {n: v for n, v in {**sim, **cpg}.items() if n in SPECS}
+            return replace(Params(), {**numbers, **own})
         except EmberError as error:
             wrong.append(f"parameters: {error}")
             return Params()
@@ -139,12 +154,12 @@ class Inquiry:
         """Return what each leg was told, and the numbers on which all agree."""
         legs: dict[str, LegCard] = {}
         numbers: dict[str, Any] | None = None
-        for leg in legs_of(world):
+        for leg in legs_of(world, self._params({}, [])):
             told = self._told.get(topics.command(leg).name, {})
             if not told.keys() >= set(OF_LEG):
                 wrong.append(f"{leg} does not say what it was told: no leg node of ours")
                 continue
-            own = {name: told[name] for name in OF_LEG if name in SPECS}
+            own = {name: told[name] for name in OF_LEG if name in SPECS and name not in OF_CPG}
             if numbers is not None and own != numbers:
                 wrong.append(f"{leg} has other parameters than the legs before it")
                 continue

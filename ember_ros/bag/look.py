@@ -14,8 +14,7 @@ from ember_ros.bag.storage import read_metadata
 from ember_ros.errors import BagError
 from ember_ros.params import params_sha256
 from ember_ros.report.recorder import Recorder, Row
-from ember_ros.signals import BodyState, LegCommand, LegSense
-from leg_node.gait import LegGait
+from ember_ros.signals import BodyState, LegCommand, LegSense, Transition
 
 CYCLES_CSV, TICKS_CSV = "cycles.csv", "ticks.csv"
 MOST_GAPS = 20
@@ -37,7 +36,6 @@ class Seen:
         self._recorder = Recorder(bag.params, bag.legs)
         self._whole: Tick | None = None
         self._legs = bag.legs
-        self._ticks = bag.params.gait.ticks
 
     def see(self, tick: Tick) -> None:
         """Take the next tick."""
@@ -54,11 +52,11 @@ class Seen:
             return
         whole, transitions = self._whole, tick.transitions
         if whole is None or whole.tick + 1 != tick.tick:  # nothing to be credited
-            if whole is not None and whole.tick // self._ticks != tick.tick // self._ticks:
+            if whole is not None and int(whole.beat.phase) != int(tick.beat.phase):
                 self._end()
             senses = [sense._replace(restart=True) for sense in senses]
-            transitions = (None,) * len(self._legs)
-        self._recorder.tick(tick.phase, senses, tick.commands, tick.body, transitions)
+            transitions = tuple(_uncredited(did) for did in transitions)
+        self._recorder.tick(tick.beat, senses, tick.commands, tick.body, transitions)
         self._whole = tick
 
     def rows(self) -> list[Row]:
@@ -221,11 +219,12 @@ TICK_COLUMNS = (
     "action",
     *(f"command_{name}" for name in LegCommand._fields[1:]),
     "reward",
+    "td_error",
     *(f"body_{name}" for name in BodyState._fields),
 )
-"""Of ``ticks.csv``. Senses, state and body are at the start of the tick, command and action hold
-during it. State, action and reward are what the leg said of it one tick later, as are the terms of
-the reward, which follow in columns ``reward_<term>``; they are empty where it did not say."""
+"""Of ``ticks.csv``. Senses, stance, state and body are at the start of the tick, command and action
+hold during it. Action, reward and its terms (in columns ``reward_<term>``), and the error of what
+was learnt from it, are what the leg published one tick later. Empty where it published nothing."""
 
 
 def write_csv(bag: Bag, folder: Path) -> list[Path]:
@@ -271,13 +270,12 @@ def write_csv(bag: Bag, folder: Path) -> list[Path]:
 def _lines(bag: Bag, seen: Seen) -> Iterator[list[Any]]:
     """Yield a line a tick and leg; a tick's reward is known one tick later."""
     before: Tick | None = None
-    gaits = [LegGait(bag.params.gait, leg) for leg in bag.legs]
     names = bag.reward_terms
 
     def of(tick: Tick, after: Tick | None) -> Iterator[list[Any]]:
         follows = after is not None and after.tick == tick.tick + 1
         for n, leg in enumerate(bag.legs):
-            sense, command, stance = tick.senses[n], tick.commands[n], gaits[n].stance(tick.phase)
+            sense, command, now = tick.senses[n], tick.commands[n], tick.transitions[n]
             did = after.transitions[n] if after is not None and follows else None
             if did is not None and not did.credited:
                 did = None
@@ -285,14 +283,15 @@ def _lines(bag: Bag, seen: Seen) -> Iterator[list[Any]]:
             yield [
                 tick.tick,
                 tick.tick * bag.params.gait.tick_s,
-                tick.phase,
+                tick.beat.phase,
                 leg,
-                int(stance),
+                int(now.next_stance) if now is not None else "",
                 *(map(_plain, sense[1:]) if sense else [""] * (len(LegSense._fields) - 1)),
-                did.state if did is not None else "",
+                now.next_state if now is not None else "",
                 did.action if did is not None else "",
                 *(command[1:] if command else [""] * (len(LegCommand._fields) - 1)),
                 did.reward if did is not None else "",
+                did.td_error if did is not None else "",
                 *tick.body,
                 *(terms.get(name, "") for name in names),
             ]
@@ -304,6 +303,11 @@ def _lines(bag: Bag, seen: Seen) -> Iterator[list[Any]]:
         before = tick
     if before is not None:
         yield from of(before, None)
+
+
+def _uncredited(did: Transition | None) -> Transition | None:
+    """Return a transition that follows no tick that is known, with nothing to credit."""
+    return did and did._replace(state=-1, action=-1)
 
 
 def _plain(value: float | bool) -> float | int:

@@ -23,17 +23,18 @@ from ember_ros.bag.storage import METADATA, STORAGES, read_metadata
 from ember_ros.bag.window import LATE, Window
 from ember_ros.errors import BagError, EmberError, SignalError
 from ember_ros.params import Params
-from ember_ros.plan import WORLDS, legs_of, stage_of
 from ember_ros.shipped import shipped_bag
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
-from leg_node.table import Table, empty_table
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
+from leg_node.assembly import empty_table
+from leg_node.table import Table
+from sim_node.worlds import WORLDS, legs_of, stage_of
 
 
 class Tick(NamedTuple):
     """All that a bag holds of one tick; legs in their order."""
 
     tick: int
-    phase: Phase
+    beat: Beat
     senses: tuple[LegSense | None, ...]
     """None where a message of a leg's two is not in the bag."""
     commands: tuple[LegCommand | None, ...]
@@ -103,7 +104,7 @@ class Bag:
             self.card, self.table = self._read_run()
             self.params = self.card.params if self.card else params or Params()
             self.world = self.card.world if self.card else self._world()
-            self.legs = legs_of(self.world)
+            self.legs = legs_of(self.world, self.params)
             self._check_topics()
         except BaseException:
             self.close()
@@ -130,13 +131,13 @@ class Bag:
 
     def robots(self) -> list[str]:
         """Return the namespaces in which there are legs."""
-        ends = [topics.joint_states(leg).name for world in WORLDS for leg in legs_of(world)]
-        found = {
-            topic[: -len(end)].strip("/")
-            for topic in self.connections
-            for end in ends
-            if topic.endswith("/" + end)
-        }
+        known = {leg for world in WORLDS for leg in legs_of(world, Params())}
+        found = set()
+        for topic in self.connections:
+            prefix, _, end = topic.rpartition("/")
+            namespace, _, leg = prefix.rpartition("/")
+            if end == "joint_states" and (leg in known or f"{prefix}/contact" in self.connections):
+                found.add(namespace.strip("/"))
         return sorted(found)
 
     def _choose(self, namespace: str | None) -> str:
@@ -159,11 +160,13 @@ class Bag:
     def _world(self) -> str:
         """Return the world whose legs are in the bag."""
         for world in WORLDS:
-            if any(
-                self._name(topics.joint_states(leg)) in self.connections for leg in legs_of(world)
-            ):
+            legs = legs_of(world, self.params)
+            if any(self._name(topics.joint_states(leg)) in self.connections for leg in legs):
                 return world
-        raise AssertionError(self.namespace)
+        raise BagError(
+            f"{self.path} has legs of other names than {', '.join(self.params.robot.legs)}; the "
+            "robot's parameter file, by --params, would be right"
+        )
 
     def _needed(self) -> list[topics.Topic]:
         makers = (topics.joint_states, topics.contact, topics.command)
@@ -184,13 +187,15 @@ class Bag:
             if connection is None:
                 continue
             # A topic may have messages of other types too, of somebody else's.
-            connection = self._files.connections.get((name, topic.kind), connection)
+            kinds = [topic.kind, *([topics.BARE_PHASE.kind] if topic == topics.PHASE else [])]
+            keys = [(name, kind) for kind in kinds if (name, kind) in self._files.connections]
+            connection = self._files.connections[keys[0]] if keys else connection
             self.connections[name] = connection
             if connection.encoding != "cdr":
                 raise BagError(
                     f"{self.path}: {name} is written as {connection.encoding!r}; cdr would be right"
                 )
-            if connection.msgtype != topic.kind:
+            if connection.msgtype not in kinds:
                 raise BagError(
                     f"{self.path}: {name} is of type {connection.msgtype}; {topic.kind} would be "
                     "right"
@@ -346,6 +351,13 @@ class Bag:
         phase, odometry = self._name(topics.PHASE), self._name(topics.ODOMETRY)
         crc = self._name(topics.CRC)
 
+        bare = self.connections[phase].msgtype == topics.BARE_PHASE.kind
+        beats = wire.BeatWire(tick_ns)
+
+        def read_beat(data: bytes) -> tuple[int, Beat]:
+            beat = wire.read_bare_phase(data, gait.ticks, phase) if bare else beats.read(data)
+            return beat.tick, beat
+
         def read_body(data: bytes) -> tuple[int, Any]:
             ns, pose = wire.read_odometry(data, odometry)
             return wire.tick_of(ns, tick_ns, odometry), pose
@@ -368,7 +380,7 @@ class Bag:
             return -1, None
 
         readers: dict[str, Callable[[bytes], tuple[int, Any]]] = {
-            phase: lambda data: wire.read_phase(data, gait.ticks, phase),
+            phase: read_beat,
             odometry: read_body,
             crc: read_crc,
         }
@@ -423,11 +435,11 @@ class Bag:
         self._check(tick, seen)
         if len(seen.found) > 4 * LATE:  # never checked: a bag without, or of a run cut off
             del seen.found[next(iter(seen.found))]
-        phase = found.get(self._name(topics.PHASE))
-        if phase is not None:
+        beat = found.get(self._name(topics.PHASE))
+        if beat is not None:
             seen.pose = found.get(self._name(topics.ODOMETRY), (None, seen.pose))[1]
             body = BodyState._make((*seen.pose, falls))
-            yield Tick(tick, phase[1], tuple(senses), tuple(commands), body, tuple(transitions))
+            yield Tick(tick, beat[1], tuple(senses), tuple(commands), body, tuple(transitions))
 
     def _check(self, tick: int, seen: _Reading) -> None:
         """Hold a tick's senses against their recorded CRCs once both are there."""

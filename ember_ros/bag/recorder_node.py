@@ -25,7 +25,6 @@ from ember_ros.bag.storage import BagOptions, size_of
 from ember_ros.bag.window import Window
 from ember_ros.errors import BagError, ParameterError, SignalError
 from ember_ros.params import Params
-from ember_ros.plan import WORLDS, legs_of
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.spinning import main_of
 
@@ -65,7 +64,7 @@ class _Ear:
         self._clocks = 0
         self._subscriptions = {
             topic.name: self._named(topic).subscribe(node, self._hearer(topic.name), held=HELD)
-            for topic in self._topics([leg for world in WORLDS for leg in legs_of(world)])
+            for topic in self._topics([leg for world in WORLDS for leg in legs_of(world, Params())])
         }
 
     def _named(self, topic: topics.Topic) -> topics.Topic:
@@ -117,7 +116,14 @@ class _Ear:
 
     def _get_ready(self, world: str) -> None:
         """Let the world begin, once everything that it will say is being listened to."""
-        names = [topic.name for topic in self._topics(list(legs_of(world)))]
+        every = self._topics(list(self._inquiry.legs))
+        for topic in every:  # legs of other names than the defaults
+            if topic.name not in self._subscriptions:
+                hear = self._hearer(topic.name)
+                self._subscriptions[topic.name] = self._named(topic).subscribe(
+                    self._node, hear, held=HELD
+                )
+        names = [topic.name for topic in every]
         if all(self._subscriptions[name].handle.get_publisher_count() for name in names):
             self._ready = True
             self._tick_ns = self._inquiry.params(world).gait.tick_ns
@@ -157,23 +163,21 @@ class _Ear:
     def _guess(self, names: set[str]) -> str | None:
         """Return the world whose legs were heard, where no sim node says it."""
         for world in WORLDS:
-            if any(topics.joint_states(leg).name in names for leg in legs_of(world)):
+            if any(topics.joint_states(leg).name in names for leg in legs_of(world, Params())):
                 return world
         return None
 
     def _prepare(self, world: str, params: Params) -> None:
-        self._legs = legs_of(world)
-        tick_ns, ticks = params.gait.tick_ns, params.gait.ticks
-        self._tick_ns = tick_ns
+        self._legs = legs_of(world, params)
+        self._tick_ns = tick_ns = params.gait.tick_ns
 
         def by_stamp(name: str) -> Callable[[bytes], int]:
             return lambda data: wire.tick_of(wire.stamp_of(data, name), tick_ns, name)
 
         names = [topic.name for topic in self._topics(list(self._legs))]
         self._readers = {name: by_stamp(name) for name in names}
-        clock, phase = topics.CLOCK.name, topics.PHASE.name
+        clock = topics.CLOCK.name
         self._readers[clock] = lambda d: wire.tick_of(wire.read_clock(d, clock), tick_ns, clock)
-        self._readers[phase] = lambda data: wire.read_phase(data, ticks, phase)[0]
         del self._readers[topics.FALLS.name]
         self._senses = {topics.contact(g).name: wire.SenseWire(g, tick_ns) for g in self._legs}
         # Who has no publisher when it begins is not waited for: a real leg has no odometry.

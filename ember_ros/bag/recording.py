@@ -2,8 +2,8 @@
 
 The loop and the sim node give it what they give every observer; the recorder node gives it the
 bytes that it heard. A tick is its clock, the falls if there are more, the body's pose, each leg's
-senses, the phase, each leg's command, and what each leg was paid for the tick before. Every quarter
-of a second of simulated time it is brought to the disk, with a CRC-32 of each leg's senses:
+senses, the beat, each leg's command, and each leg's transition of the tick before. Every quarter of
+a second of simulated time it is brought to the disk, with a CRC-32 of each leg's senses:
 whatever chunk survives can be checked by itself.
 """
 
@@ -19,9 +19,9 @@ import numpy as np
 from ember_ros import topics, wire
 from ember_ros.bag.card import Card
 from ember_ros.bag.scribe import Sink
-from ember_ros.plan import legs_of
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from leg_node.table import Table
+from sim_node.worlds import legs_of
 
 FLUSH_TICKS = 16
 """Ticks a flush: a quarter of a second at the default period is the most that a kill can cost."""
@@ -71,8 +71,9 @@ class Recording:
         """Ticks that were written."""
         self._writer = writer
         self._tick_ns = card.params.gait.tick_ns
-        legs = legs_of(card.world)
+        legs = legs_of(card.world, card.params)
         self._legs = len(legs)
+        self._beat = wire.BeatWire(self._tick_ns)
         self._senses = [wire.SenseWire(leg, self._tick_ns) for leg in legs]
         self._commands = [wire.CommandWire(leg, self._tick_ns) for leg in legs]
         self._transitions = [wire.TransitionWire(leg, self._tick_ns) for leg in legs]
@@ -106,7 +107,7 @@ class Recording:
 
     def tick(
         self,
-        phase: Phase,
+        beat: Beat,
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
@@ -130,7 +131,7 @@ class Recording:
             wire.pack_odometry(ns, body),
             [joints for joints, _ in felt],
             [contact for _, contact in felt],
-            wire.pack_phase(phase),
+            self._beat.pack(beat),
             [w.pack(c) if c else None for w, c in zip(self._commands, commands, strict=True)],
             [w.pack(t) if t else None for w, t in zip(self._transitions, transitions, strict=True)],
         )

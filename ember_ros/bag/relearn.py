@@ -17,10 +17,11 @@ from ember_ros.errors import BagError, ParameterError
 from ember_ros.loop import act, hand_in
 from ember_ros.params import Params, as_dict, cells_sha256, replace
 from ember_ros.params_file import dump_params
-from ember_ros.signals import LegCommand, LegSense, Phase
-from leg_node.module import LegModule
+from ember_ros.signals import LegCommand, LegSense
+from leg_node.assembly import empty_table, make_leg, numbers_of
+from leg_node.gait import GaitStep
 from leg_node.shared import SharedTable
-from leg_node.table import Table, empty_table
+from leg_node.table import Table
 from leg_node.table_file import save_table
 
 TABLE, PARAMS, TOLD = "table.npz", "params.yaml", "relearn.json"
@@ -53,7 +54,7 @@ class _Told:
     def __init__(self) -> None:
         self.action = 0
 
-    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
+    def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
         """Return what was done."""
         return self.action
 
@@ -111,8 +112,10 @@ def relearn(
         stage = stage or bag.stage
     if table is None:
         table = empty_table(own)
-    numbers = own.walk if stage == "walk" else own.train
-    shared = SharedTable(table, cells=cells_sha256(own), rate=numbers.rate)
+    numbers = numbers_of(own, stage)
+    shared = SharedTable(
+        table, legs=len(own.robot.legs), cells=cells_sha256(own), rate=numbers.rate
+    )
     before = int(table.visits.sum())
     ticks = skipped = falls = 0
     for turn in range(passes):
@@ -121,7 +124,7 @@ def relearn(
                 _check(bag, own)
                 actions, told = _Actions(bag), _Told()
                 legs = [
-                    LegModule(own, leg, stage=stage, policy=told, run=f"{turn}/{n}")
+                    make_leg(own, leg, stage=stage, policy=told, run=f"{turn}/{n}")
                     for leg in bag.legs
                 ]
                 fallen, last, blind = 0, 0, set[tuple[int, str]]()
@@ -132,7 +135,7 @@ def relearn(
                             blind.add((tick.tick, leg.leg))
                             continue
                         told.action = actions.of(leg.leg, command)
-                        act(shared, leg, sense, tick.phase)
+                        act(shared, leg, sense, tick.beat)
                     ticks += 1
                     fallen, last = tick.body.falls, tick.tick
                     if not go_on(ticks, falls + fallen):
@@ -153,7 +156,7 @@ def relearn(
 def _check(bag: Bag, params: Params) -> None:
     """Raise a BagError if the bag's legs are not those that the parameters speak of."""
     was, now = as_dict(bag.params), as_dict(params)
-    for group in ("gait", "leg"):
+    for group in ("gait", "leg", "robot"):
         for name, value in was[group].items():
             if now[group][name] != value:
                 raise BagError(

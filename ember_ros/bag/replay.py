@@ -15,7 +15,7 @@ from ember_ros.bag.reading import Bag, Tick
 from ember_ros.errors import BagError
 from ember_ros.loop import Loop
 from ember_ros.plan import Plan
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from leg_node.table import Table
 from leg_node.table_file import save_table
 
@@ -108,7 +108,7 @@ class RecordedWorld:
             if sense is not None
         )
 
-    def step(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
+    def step(self, beat: Beat, commands: Sequence[LegCommand | None]) -> None:
         """Hold the commands against those that were recorded, and go on."""
         tick = self._next
         assert tick is not None
@@ -119,8 +119,8 @@ class RecordedWorld:
             self.compared += 1
             if command != recorded and self.difference is None:
                 self.difference = _difference(leg, recorded, command)
-        if phase != tick.phase and self.difference is None:
-            self.difference = Difference(tick.tick, "cpg", "phase", tick.phase, phase)
+        if beat != tick.beat and self.difference is None:
+            self.difference = Difference(tick.tick, "cpg", "phase", tick.beat.phase, beat.phase)
         if self._wait:
             self._due += self._wait
             time.sleep(max(0.0, self._due - time.monotonic()))
@@ -128,7 +128,7 @@ class RecordedWorld:
 
     def tick(
         self,
-        phase: Phase,
+        beat: Beat,
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,

@@ -15,8 +15,9 @@ from ember_ros.observer import Observer
 from ember_ros.params import Params
 from ember_ros.plan import Plan
 from ember_ros.randomness import WORLD, generator
-from ember_ros.signals import LegSense, Phase
-from leg_node.module import LegModule
+from ember_ros.signals import LegSense
+from leg_node.assembly import make_leg, numbers_of
+from leg_node.gait import GaitStep
 from leg_node.policy import epsilon_at
 from leg_node.table import Table
 
@@ -29,7 +30,7 @@ class _Told:
 
     action = 0
 
-    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
+    def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
         """Return what was told."""
         return self.action
 
@@ -41,7 +42,7 @@ class CentralLoop(Loop):
         """Build the robot of a plan; its table is not used."""
         super().__init__(plan)
         params: Params = plan.params
-        numbers = params.walk if plan.stage == "walk" else params.train
+        numbers = numbers_of(params, plan.stage)
         self._numbers, self._ticks = numbers, params.gait.ticks
         self._speeds = len(params.leg.knee_speeds)
         self._rng = generator(plan.seed, DRAWER)
@@ -49,7 +50,7 @@ class CentralLoop(Loop):
         self.joint = Table(self._ticks * 2**count, self._speeds**count)
         self._told = [_Told() for _ in plan.legs]
         self.legs = [
-            LegModule(params, leg, stage=plan.stage, policy=told, learning=False)
+            make_leg(params, leg, stage=plan.stage, policy=told, learning=False)
             for leg, told in zip(plan.legs, self._told, strict=True)
         ]
         self._before: tuple[int, int] | None = None

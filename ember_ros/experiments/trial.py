@@ -29,10 +29,10 @@ from ember_ros.loop import Loop
 from ember_ros.params import Params, params_sha256
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import TRACE, Recorder, Row
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from ember_ros.versions import versions
-from leg_node.gait import LegGait
-from leg_node.state import Partition
+from leg_node.assembly import make_discretizer
+from leg_node.discretizer import states_of
 from leg_node.table import Ints, Table
 from leg_node.table_file import load_table, save_table
 
@@ -52,10 +52,11 @@ TABLE, MEASURES, CYCLES = "table.npz", "trial.json", "cycles.npz"
 COLUMNS = tuple(name for name in Row._fields if name not in ("cycle", "module"))
 DECIDES = (
     *("ember_ros", "ember_ros.kinematics", "ember_ros.loop", "ember_ros.params"),
-    *("ember_ros.plan", "ember_ros.randomness", "ember_ros.signals"),
+    *("ember_ros.phase", "ember_ros.plan", "ember_ros.randomness", "ember_ros.signals"),
     *("ember_ros.experiments.central", "ember_ros.experiments.trial", "ember_ros.report.recorder"),
-    *("cpg_node.cpg", "leg_node.gait", "leg_node.module", "leg_node.policy", "leg_node.reading"),
-    *("leg_node.reward", "leg_node.shared", "leg_node.state", "leg_node.table"),
+    *("cpg_node.cpg", "leg_node.assembly", "leg_node.discretizer", "leg_node.gait"),
+    *("leg_node.learner", "leg_node.module", "leg_node.policy", "leg_node.reward"),
+    *("leg_node.shared", "leg_node.table", "leg_node.value"),
     *("sim_node.bodies", "sim_node.bullet", "sim_node.trainer", "sim_node.walker"),
 )
 """The modules that decide what comes of a trial."""
@@ -158,30 +159,33 @@ class _Watch:
     """Hears every tick of a trial: in which states the legs were, and when their feet were down."""
 
     def __init__(self, trial: Trial, legs: Sequence[str], start: Table | None) -> None:
-        self._partition = Partition(trial.params)
-        self._gaits = [LegGait(trial.params.gait, leg) for leg in legs]
-        self.visits: Ints = np.zeros(self._partition.size, dtype=np.int64)
+        params = trial.params
+        self.visits: Ints = np.zeros(states_of(make_discretizer(params)), dtype=np.int64)
         """How often any leg was in each state."""
-        self._down: list[int] = [0] * trial.params.gait.ticks
+        self._ticks = params.gait.ticks
+        named = dict(zip(params.robot.legs, params.robot.offset, strict=True))
+        self._offsets = [named.get(leg, 0.0) for leg in legs]
+        self._down: list[int] = [0] * self._ticks
         self._known = None if start is None else visits_of_states(start) > 0
 
     def tick(
         self,
-        phase: Phase,
+        beat: Beat,
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
         transitions: Sequence[Transition | None],
     ) -> None:
-        index, visits, down = self._partition.index, self.visits, self._down
-        for sense, gait in zip(senses, self._gaits, strict=True):
-            visits[index(sense, gait.stance(phase))] += 1
+        visits, down, ticks = self.visits, self._down, self._ticks
+        for sense, offset, did in zip(senses, self._offsets, transitions, strict=True):
+            assert did is not None  # the loop's legs always say
+            visits[did.next_state] += 1
             if sense.force_mean > 0.0:  # in the tick that just ended
-                down[gait.slot(phase, -1)] += 1
+                down[int((beat.phase + offset) * ticks - 1) % ticks] += 1
 
     def footfall(self, cycles: int) -> NDArray[np.float64]:
         """Return the share of cycles with the foot on the ground, for each tick of a cycle."""
-        return np.array(self._down) / (len(self._gaits) * cycles)
+        return np.array(self._down) / (len(self._offsets) * cycles)
 
     def unseen(self) -> float | None:
         """Return the share of decisions in states that the start's legs never were in."""

@@ -22,8 +22,7 @@ import numpy as np
 
 from ember_ros.errors import ParameterError
 from ember_ros.params import Params
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
-from leg_node.gait import LegGait
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 
 CYCLES, MEASURED, TRACES = "cycles.csv", "measured.json", "traces.npy"
 """The files of a record: lines a cycle, the summary, and the body's pose at every tick."""
@@ -36,7 +35,7 @@ WINDOW = 200
 _SENSE = struct.Struct("<q8d3?")
 _COMMAND = struct.Struct("<q4d")
 _NO_COMMAND = b"\0"
-_TRANSITION = struct.Struct("<q?2q")
+_TRANSITION = struct.Struct("<2q?qq?d")
 
 
 class Row(NamedTuple):
@@ -50,8 +49,8 @@ class Row(NamedTuple):
     reward: float
     """Mean over the cycle's ticks for which the leg said what it was paid, 0 where there is none; a
     run's last tick is paid for by nobody."""
-    contact_share: float
-    """Share of stance ticks with the foot on the ground."""
+    contact_share: float | None
+    """Share of stance ticks with the foot on the ground; None of a leg that says no stance."""
     duty_factor: float
     """Share of all ticks with the foot on the ground."""
     slip_m: float
@@ -75,15 +74,21 @@ class Row(NamedTuple):
 class _Sums:
     """One leg's sums over a cycle."""
 
-    __slots__ = ("contact", "down", "paid", "peak", "slip", "stance", "terms")
+    __slots__ = ("contact", "down", "known", "paid", "peak", "slip", "stance", "terms")
 
     def __init__(self) -> None:
         self.peak = self.slip = 0.0
-        self.contact = self.down = self.stance = 0
+        self.contact = self.down = self.known = self.stance = 0
         self.paid = 0
         """Ticks for which a reward was said."""
         self.terms: dict[str, float] = {}
         """The reward by term, added up over them."""
+
+    def share(self) -> float | None:
+        """Return the share of stance ticks with the foot on the ground."""
+        if self.stance:
+            return self.contact / self.stance
+        return 0.0 if self.known else None
 
     def reward(self) -> dict[str, float]:
         """Return the mean reward a tick, by term."""
@@ -97,7 +102,7 @@ class Recorder:
         """Begin a record.
 
         Args:
-            params: for the gait.
+            params: for the ticks of a cycle.
             legs: their names, in order.
             folder: where ``cycles.csv`` grows line by line, and where ``finish`` writes
                 ``measured.json`` and ``traces.npy``; nowhere for None.
@@ -109,8 +114,6 @@ class Recorder:
         self.traces = array("d")
         """The pose of the body at each tick, as in ``TRACE``, one after the other."""
         self._legs = tuple(legs)
-        self._ticks = params.gait.ticks
-        self._gaits = [LegGait(params.gait, leg) for leg in legs]
         self.terms: list[dict[str, float]] = []
         """Mean reward a tick by term and over legs, of each cycle."""
         self._senses_hash, self._commands_hash = hashlib.sha256(), hashlib.sha256()
@@ -118,11 +121,12 @@ class Recorder:
         self._senses, self._commands = bytearray(), bytearray()  # of this cycle, to be hashed
         self._transitions = bytearray()
         self._sums = [_Sums() for _ in legs]
-        self._phase: Phase | None = None
+        self._beat: Beat | None = None
         self._poses: list[BodyState] = []  # at the start of each tick of this cycle
         self._body = BodyState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
         self._turns = 0  # of the body so far, whole ones
-        self._stances: list[bool] = []
+        self._stances: list[bool | None] = []
+        """Of the tick that was given last; None of a leg that did not say."""
         self._first_fall: int | None = None
         self._absences = dict.fromkeys(legs, 0)
         self._folder = folder
@@ -142,7 +146,7 @@ class Recorder:
 
     def tick(
         self,
-        phase: Phase,
+        beat: Beat,
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
@@ -151,7 +155,7 @@ class Recorder:
         """Take one complete tick: what was sensed and paid at it, and what was commanded for it."""
         if self._began is None:
             self._began = time.perf_counter()
-        self._end_tick(senses, body, transitions)
+        self._end_tick(senses, body, transitions, int(beat.phase))
         for sense, command in zip(senses, commands, strict=True):
             self._senses += _SENSE.pack(*sense)
             self._commands += _COMMAND.pack(*command) if command else _NO_COMMAND
@@ -162,17 +166,17 @@ class Recorder:
                 self._absences[leg] += command is None
         self._poses.append(body)
         self.traces.extend((body.x, body.y, body.roll, body.pitch, self._yaw()))
-        self._phase = phase
-        self._stances = [gait.stance(phase) for gait in self._gaits]
+        self._beat = beat
+        self._stances = [did.next_stance if did is not None else None for did in transitions]
 
     def finish(self, senses: Sequence[LegSense], body: BodyState) -> None:
         """Take the senses after the last tick, end the last cycle, and close the file."""
-        if self._phase is not None:
+        if self._beat is not None:
             self._wall = time.perf_counter() - (self._began or 0.0)
-            self._end_tick(senses, body, [None] * len(self._legs))
+            self._end_tick(senses, body, [None] * len(self._legs), None)
             if self._poses:
                 self._end_cycle()
-            self._phase = None
+            self._beat = None
         if self._file is not None and self._folder is not None:
             self._file.close()
             self._file = None
@@ -185,10 +189,14 @@ class Recorder:
         senses: Sequence[LegSense],
         body: BodyState,
         transitions: Sequence[Transition | None],
+        cycle: int | None,
     ) -> None:
-        """Take what the senses say of the tick that just ended; end its cycle if it was last."""
+        """Take what the senses say of the tick that just ended.
+
+        Its cycle ends if it was the last one: if the tick that begins belongs to another ``cycle``.
+        """
         before, self._body = self._body, body
-        if self._phase is None:
+        if self._beat is None:
             return
         self._turns += round((before.yaw - body.yaw) / math.tau)  # it jumped where it passed pi
         for sums, did in zip(self._sums, transitions, strict=True):
@@ -197,7 +205,9 @@ class Recorder:
                 for name, value in did.terms:
                     sums.terms[name] = sums.terms.get(name, 0.0) + value
         for sense, sums, stance in zip(senses, self._sums, self._stances, strict=True):
-            sums.stance += stance
+            if stance is not None:
+                sums.known += 1
+                sums.stance += stance
             if sense.restart:
                 continue
             sums.slip += sense.slip
@@ -205,22 +215,22 @@ class Recorder:
                 sums.peak = sense.force_peak
             if sense.force_mean > 0.0:
                 sums.down += 1
-                sums.contact += stance
+                sums.contact += stance is True
         if body.falls != before.falls and self._first_fall is None:
-            self._first_fall = int(self._phase)
-        if (senses[0].tick % self._ticks) == 0:
+            self._first_fall = int(self._beat.phase)
+        if cycle is not None and cycle != int(self._beat.phase):
             self._end_cycle()
 
     def _end_cycle(self) -> None:
-        assert self._phase is not None
-        cycle, poses = int(self._phase), self._poses
+        assert self._beat is not None
+        cycle, poses = int(self._beat.phase), self._poses
         start, end, ticks, n_legs = poses[0], self._body, len(poses), len(self._legs)
         rows = []
         rewards = [sums.reward() for sums in self._sums]
         names = dict.fromkeys(name for each in rewards for name in each)
         self.terms.append({n: sum(each.get(n, 0.0) for each in rewards) / n_legs for n in names})
         for leg, sums, terms in zip(self._legs, self._sums, rewards, strict=True):
-            share = sums.contact / sums.stance if sums.stance else 0.0
+            share = sums.share()
             reward = sum(terms.values())
             duty = sums.down / ticks
             rows.append(Row(cycle, leg, sums.peak, reward, share, duty, sums.slip, *[None] * 8))
@@ -231,7 +241,7 @@ class Recorder:
                 BODY,
                 max(row.peak_force_n for row in rows),
                 sum(row.reward for row in rows) / n_legs,
-                sum(row.contact_share for row in rows) / n_legs,
+                _mean(row.contact_share for row in rows),
                 sum(row.duty_factor for row in rows) / n_legs,
                 sum(row.slip_m for row in rows) / n_legs,
                 (end.x - start.x) * math.cos(start.yaw) + (end.y - start.y) * math.sin(start.yaw),
@@ -318,7 +328,8 @@ def _packed(did: Transition | None) -> bytes:
     if did is None:
         return b"\0"
     values = [value for _, value in did.terms]
-    return _TRANSITION.pack(*did[:4]) + struct.pack(f"<{len(values)}d", *values)
+    said = (*did[:4], did.next_state, did.next_stance, did.td_error)
+    return _TRANSITION.pack(*said) + struct.pack(f"<{len(values)}d", *values)
 
 
 def _mean(values: Iterable[float | None]) -> float | None:

@@ -1,7 +1,7 @@
-"""How a table is read for choosing and for bootstrapping: a seam of its own. Pure.
+"""What a leg believes of a state's actions: how a table is read for choosing and bootstrapping. Pure.
 
-Updates always touch one cell of the table; a reading turns its values and visits into what a leg
-believes of a state's actions. To swap it, write a class with ``row``.
+Updates always touch one cell of the table; an estimate turns its values and visits into one value
+an action. To swap it, write a class with ``q_values`` and name it as ``parts.value``.
 """
 
 from __future__ import annotations
@@ -11,41 +11,50 @@ from typing import Protocol
 import numpy as np
 
 from ember_ros.params import Learning
+from leg_node.discretizer import Discretizer
 from leg_node.table import Floats, Table
 
-_ORDER = (5, 0, 3, 4, 2, 1)
-"""The table's axes (hip, force, inclination, swing, hair, action) as they are worked on: the outer
-axes move in long stretches of memory."""
-_SPREAD = (0, 1, 3, 4, 5)
-"""Of these, the axes along which neighbours have a say: all but swing."""
 
+class ValueEstimate(Protocol):
+    """The values of a state's actions.
 
-class Reading(Protocol):
-    """What a leg believes of a state's actions."""
+    Made with ``(table, discretizer, numbers, ticks)``: the table to read, now and later; what its
+    states mean; the learning numbers of the stage; ticks of a cycle.
+    """
 
-    def row(self, tick: int, state: int) -> list[float]:
+    def q_values(self, tick: int, state: int) -> list[float]:
         """Return one value an action."""
         ...
 
 
-class PlainReading:
-    """The paper's: the values as they stand."""
+def paper_or_smoothed(
+    table: Table, discretizer: Discretizer, numbers: Learning, ticks: int
+) -> ValueEstimate:
+    """Return ``SmoothedValues`` where the numbers ask for any of it, ``TableValues`` otherwise."""
+    kind = SmoothedValues if numbers.smooth > 0.0 or numbers.prior > 0.0 else TableValues
+    return kind(table, discretizer, numbers, ticks)
 
-    def __init__(self, table: Table) -> None:
+
+class TableValues:
+    """The paper's: the values as they stand in the table."""
+
+    def __init__(
+        self, table: Table, discretizer: Discretizer, numbers: Learning, ticks: int
+    ) -> None:
         """Read from ``table``, now and later."""
         self._table = table
 
-    def row(self, tick: int, state: int) -> list[float]:
+    def q_values(self, tick: int, state: int) -> list[float]:
         """Return the state's values."""
         return self._table.row(state)
 
 
-class SmoothReading:
+class SmoothedValues:
     """Similar local states want similar local actions (paper, section V): neighbours have a say.
 
     Two things, each with its own switch. ``smooth``: a cell's neighbours count by a kernel that
-    falls with every bin between them, and by how often they were visited; stance and swing have
-    nothing to say to each other. ``prior``: what is known of a whole state stands in for actions
+    falls with every bin between them, and by how often they were visited, along the axes that the
+    discretizer calls neighbours. ``prior``: what is known of a whole state stands in for actions
     that were hardly tried, less ``pessimism``: an untried action is not good merely because all
     others have been found to cost something.
 
@@ -54,23 +63,29 @@ class SmoothReading:
     """
 
     def __init__(
-        self, table: Table, shape: tuple[int, int, int, int, int], numbers: Learning, ticks: int
+        self, table: Table, discretizer: Discretizer, numbers: Learning, ticks: int
     ) -> None:
         """Read from ``table``, anew every ``smooth_every`` cycles.
 
         Args:
             table: now and later.
-            shape: bins of hip, force, inclination, swing and hair.
+            discretizer: ``shape`` and ``neighbours`` of it.
             numbers: ``smooth`` and its companions.
             ticks: of a cycle.
         """
         self._table, self._numbers = table, numbers
-        self._shape = (*shape, table.actions)
+        self._shape = (*discretizer.shape, table.actions)
+        # The axes as they are worked on: actions first, since they move in long stretches of
+        # memory then. The order decides the last bits.
+        last = len(self._shape) - 1
+        self._order = (last, 0, *range(last - 1, 0, -1))
+        like = (*discretizer.neighbours, True)
+        self._spread = [n for n, axis in enumerate(self._order) if like[axis]]
         self._every = numbers.smooth_every * ticks
         self._turn = -1
         self._values: Floats = np.empty((table.states, table.actions))
 
-    def row(self, tick: int, state: int) -> list[float]:
+    def q_values(self, tick: int, state: int) -> list[float]:
         """Return what the table and its neighbourhood say of the state's actions."""
         turn = tick // self._every
         if turn != self._turn:
@@ -81,15 +96,15 @@ class SmoothReading:
 
     def _read(self) -> None:
         numbers = self._numbers
-        values = self._table.values.reshape(self._shape).transpose(_ORDER)
-        visits = self._table.visits.reshape(self._shape).transpose(_ORDER)
+        values = self._table.values.reshape(self._shape).transpose(self._order)
+        visits = self._table.visits.reshape(self._shape).transpose(self._order)
         near = np.ascontiguousarray(np.minimum(visits, numbers.visits_near), dtype=float)
         more = np.minimum(visits, numbers.visits_own) - near
         both = np.empty((2, *near.shape))  # weights, and values by weight
         weight, total = both
         weight[:] = near
         np.multiply(near, values, out=total)
-        for axis in _SPREAD:
+        for axis in self._spread:
             _spread(both, axis + 1, numbers.smooth)
         weight += more
         total += more * values
@@ -98,7 +113,7 @@ class SmoothReading:
         total += numbers.prior * (state - numbers.pessimism)
         weight += numbers.prior
         believed = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0.0)
-        back: Floats = believed.transpose(np.argsort(_ORDER))
+        back: Floats = believed.transpose(np.argsort(self._order))
         self._values = back.reshape(self._table.states, self._table.actions)
 
 

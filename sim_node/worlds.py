@@ -1,0 +1,90 @@
+"""The worlds there are, by name; one of your own has a dotted path. Pure until one is made.
+
+A world is a class made with ``(params, seed=..., gui=...)`` that does what ``sim_node.world.World``
+says; ``sim_node.contract.check_world`` holds one to it. It may say which learning numbers hold in
+it (``stage``, ``walk`` without) and which legs are mounted there (``legs_of(params)``, those of
+``params.robot`` without).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from ember_ros import parts
+from ember_ros.errors import ParameterError
+from ember_ros.params import TRAINER_LEG, Params
+
+if TYPE_CHECKING:
+    from sim_node.world import World
+
+
+class WorldSpec(NamedTuple):
+    """What is known of a world before it is made."""
+
+    path: str
+    """Dotted path of its class."""
+    stage: str
+    """Which learning numbers hold there: ``train`` or ``walk``."""
+    legs_of: Callable[[Params], tuple[str, ...]]
+    """Returns the names of its legs, in order."""
+
+
+WORLDS = {
+    "trainer": WorldSpec("sim_node.trainer.TrainerWorld", "train", lambda params: (TRAINER_LEG,)),
+    "walker": WorldSpec("sim_node.walker.WalkerWorld", "walk", lambda params: params.robot.legs),
+}
+"""The worlds that come with the package."""
+
+
+def spec_of(world: str) -> WorldSpec:
+    """Return what is known of a world.
+
+    Args:
+        world: a name, or the dotted path of a class.
+
+    Raises:
+        ParameterError: there is none.
+    """
+    if world in WORLDS:
+        return WORLDS[world]
+    if "." not in world:
+        raise ParameterError(
+            f"there is no world {world!r}; it is {' or '.join(WORLDS)}, or the dotted path of a "
+            "class of your own"
+        )
+    made = parts.find(world, "world")
+    legs_of: Callable[[Params], Any] = getattr(made, "legs_of", WORLDS["walker"].legs_of)
+    return WorldSpec(
+        world, getattr(made, "stage", "walk"), lambda params: tuple(legs_of(params))
+    )
+
+
+def legs_of(world: str, params: Params) -> tuple[str, ...]:
+    """Return the names of a world's legs, in order."""
+    return spec_of(world).legs_of(params)
+
+
+def stage_of(world: str) -> str:
+    """Return which learning numbers hold in a world: ``walk`` or ``train``."""
+    return spec_of(world).stage
+
+
+def make_world(world: str, params: Params, seed: int, *, gui: bool = False) -> World:
+    """Build a world; PyBullet is imported only now.
+
+    Raises:
+        ParameterError: no such world, or PyBullet is not installed.
+    """
+    spec = spec_of(world)
+    try:
+        made: World = parts.find(spec.path, "world")(params, seed=seed, gui=gui)
+    except ParameterError as error:
+        why = error.__cause__
+        if isinstance(why, ModuleNotFoundError) and why.name == "pybullet":
+            raise ParameterError(
+                "PyBullet is not installed; `pip install pybullet` (a wheel for Python 3.11, "
+                "elsewhere it compiles for minutes)"
+            ) from why
+        raise
+    return made
