@@ -82,8 +82,7 @@ class Loop:
         senses = self.world.observe()
         beat = self.beats.at(self.now, senses)
         commands = [
-            act(self.shared, leg, sense, beat)
-            for leg, sense in zip(self.legs, senses, strict=True)
+            act(self.shared, leg, sense, beat) for leg, sense in zip(self.legs, senses, strict=True)
         ]
         transitions = [leg.transition for leg in self.legs]
         for observer in observers:

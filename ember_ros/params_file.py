@@ -63,6 +63,27 @@ def load_params(*files: Path | str, settings: Sequence[str] = ()) -> Params:
     return changed(params, settings)
 
 
+def robot_legs(files: Sequence[Path | str]) -> tuple[str, ...]:
+    """Return the names of the robot's legs as parameter files describe it, for what starts nodes.
+
+    What else is wrong with a file, the nodes say: it may hold options of theirs as well.
+
+    Raises:
+        ParameterError: a file cannot be read, or its legs are no names.
+    """
+    legs: Any = Params().robot.legs
+    for file in files:
+        try:
+            found: Any = _read(read_text(Path(file), MOST_TEXT))
+        except (OSError, ValueError) as error:
+            raise ParameterError(f"{file}: {error}") from error
+        for name in (SECTION, NUMBERS, "robot"):
+            found = found.get(name) if isinstance(found, dict) else None
+        if isinstance(found, dict):
+            legs = found.get("legs", legs)
+    return tuple(map(str, check("robot.legs", legs)))  # type: ignore[arg-type]
+
+
 def changed(params: Params, settings: Sequence[str]) -> Params:
     """Return parameters with some set, each as ``group.field=value``.
 

@@ -374,9 +374,7 @@ class TransitionWire:
         if self._wire.names[len(TRANSITION) :] != names:
             self._wire = self._layout(names)
         own = (did.state, did.stance, did.action, did.next_state, did.next_stance, did.td_error)
-        return self._wire.pack(
-            did.tick * self._tick_ns, (*own, *[value for _, value in did.terms])
-        )
+        return self._wire.pack(did.tick * self._tick_ns, (*own, *[value for _, value in did.terms]))
 
     def read(self, data: Bytes) -> Transition:
         """Return the transition in a message.

@@ -5,6 +5,8 @@ The loop, the leg's node, a replay, learning from bags and the experiments all m
 
 from __future__ import annotations
 
+from typing import Any
+
 from ember_ros import parts
 from ember_ros.errors import ParameterError, shown
 from ember_ros.params import MOST_CELLS, TRAINER_LEG, Learning, Params, cells_sha256
@@ -135,9 +137,10 @@ def make_leg(
     )
     learner = _make_learner(params, numbers, discretizer, copy.table, seed, position)
     if isinstance(policy, str):
-        make = POLICIES.get(policy) or parts.find(policy, "policy")
         rng = generator(seed, position)
-        policy = make(params, numbers, learner.q_values, rng, start_cycle)
+        made: Policy = _policy_of(policy)(params, numbers, learner.q_values, rng, start_cycle)
+    else:
+        made = policy
     return LegModule(
         leg,
         params,
@@ -145,11 +148,23 @@ def make_leg(
         discretizer=discretizer,
         reward=parts.make(params, "reward", params),
         learner=learner,
-        policy=policy,
+        policy=made,
         copy=copy,
         learning=learning,
         shared=shared,
     )
+
+
+def _policy_of(name: str) -> Any:
+    """Return the class of a policy."""
+    if name in POLICIES:
+        return POLICIES[name]
+    if "." not in name:
+        raise ParameterError(
+            f"there is no policy {name!r}; it is {', '.join(POLICIES)}, or the dotted path of a "
+            "class of your own"
+        )
+    return parts.find(name, "policy")
 
 
 def _make_learner(

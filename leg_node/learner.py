@@ -1,4 +1,4 @@
-"""What is learnt from a transition: updates of single cells of the table (paper, section VI-C). Pure.
+"""What is learnt from a transition: updates of single cells (paper, section VI-C). Pure.
 
 To swap it, write a class with ``q_values``, ``learn`` and ``reset`` and name it as
 ``parts.learner``; ``leg_node.sarsa`` is an example. A learner decides targets, and never touches

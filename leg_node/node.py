@@ -14,13 +14,13 @@ from rclpy.task import Future
 
 from ember_ros import calls, topics, wire
 from ember_ros.errors import ParameterError, PushError, SignalError
+from ember_ros.inbox import Inbox
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.seat import Seated
 from ember_ros.signals import Beat, LegCommand, LegSense
 from ember_ros.spinning import HAND_IN_S, main_of
 from ember_ros.throttle import Throttle
 from leg_node.assembly import make_leg
-from ember_ros.inbox import Inbox
 from leg_node.shared import Push
 from leg_node.table_file import load_table, save_table
 
@@ -38,8 +38,9 @@ class LegNode(Seated, Node):  # type: ignore[misc]
     Calls: ``table/push``, ``table/pull``, unless ``shared`` is false or it has no use for a table
     (another policy than ``learned``, and ``learning`` false).
     Parameters: ``gait.*``, ``leg.*``, ``robot.*``, ``parts.*``, ``state.*``, ``reward.*``,
-    ``script.*``, ``train.*``, ``walk.*``; ``leg``, ``stage``, ``seed``, ``policy``, ``learning``, ``shared``, ``start_cycle``,
-    ``table_patience``; ``table`` and ``save`` for a leg that does not share.
+    ``script.*``, ``train.*``, ``walk.*``; ``leg``, ``stage``, ``seed``, ``policy``, ``learning``,
+    ``shared``, ``start_cycle``, ``table_patience``; ``table`` and ``save`` for a leg that does not
+    share.
     """
 
     GROUPS = ("gait", "leg", "robot", "parts", "state", "reward", "script", "train", "walk")

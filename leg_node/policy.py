@@ -56,7 +56,7 @@ class EpsilonGreedy:
         rng: np.random.Generator,
         start_cycle: int = 0,
     ) -> None:
-        """Choose by ``q_values``, exploring as ``numbers`` say; ``rng`` is for that and for ties."""
+        """Choose by ``q_values`` and explore as ``numbers`` say; ``rng`` also breaks ties."""
         self._q_values, self._learning, self._rng = q_values, numbers, rng
         self._actions, self._ticks = len(params.leg.knee_speeds), params.gait.ticks
         self._start_cycle = start_cycle

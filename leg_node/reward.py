@@ -3,8 +3,8 @@
 Each term is a function of its own; ``PaperReward`` weighs them, one set for stance and another for
 swing; the reward is their sum. The switch between the two is synchronous with the hip, but may lead
 it by ``reward.lead`` ticks: a foot that comes down just before it has to carry does what it should.
-To swap a reward, write a class with ``names`` and ``terms`` and name it as ``parts.reward``: whoever
-reports a reward reads it from the leg's ``Transition``.
+To swap a reward, write a class with ``names`` and ``terms`` and name it as ``parts.reward``:
+whoever reports a reward reads it from the leg's ``Transition``.
 """
 
 from __future__ import annotations

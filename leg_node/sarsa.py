@@ -1,4 +1,4 @@
-"""SARSA(lambda): an example of a learner of one's own, ``parts.learner: leg_node.sarsa.SarsaLambda``.
+"""SARSA(lambda), an example of a learner: ``parts.learner: leg_node.sarsa.SarsaLambda``. Pure.
 
 The forward view [Sutton and Barto 2018, 12.1 to 12.3], cut off after ``HORIZON`` ticks: a
 transition waits until what followed it is known, and is then updated once, towards its lambda
@@ -62,16 +62,15 @@ class SarsaLambda:
         """Return the update of the oldest transition, and forget it.
 
         Args:
-            value: of the state and action that are ``steps`` ticks later.
-            steps: whose rewards are known.
+            value: the return from the transition on that is ``steps`` later.
+            steps: so many rewards come before it.
         """
         tick, gamma = self._waiting[-1].tick, self._gamma
         for n in range(steps - 1, -1, -1):
             later = self._waiting[n + 1]
-            # The return from there on, and what the table says of it, by their weights.
-            if n + 1 < steps:
-                said = self.q_values(tick, later.state)[later.action]
-                value = (1.0 - LAMBDA) * said + LAMBDA * value
+            # What is believed there, and the return from there on, by their weights.
+            believed = self.q_values(tick, later.state)[later.action]
+            value = (1.0 - LAMBDA) * believed + LAMBDA * value
             value = self._waiting[n].reward + gamma * value
         first = self._waiting.popleft()
         return Pair(tick, first.state * self._actions + first.action, value)

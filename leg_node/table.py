@@ -43,12 +43,14 @@ class Table:
         self._visit: Any = self.visits.data
 
     def parts(self, count: int) -> list[Table]:
-        """Return ``count`` tables of equal size that share this one's memory, one behind the other."""
+        """Return ``count`` tables of equal size, one behind the other, that share this memory."""
         states = self.states // count
         cells = states * self.actions
-        return [
-            self._part(states, slice(n * cells, (n + 1) * cells)) for n in range(count)
-        ] if count > 1 else [self]
+        return (
+            [self._part(states, slice(n * cells, (n + 1) * cells)) for n in range(count)]
+            if count > 1
+            else [self]
+        )
 
     def _part(self, states: int, cells: slice) -> Table:
         part = Table(0, self.actions)
@@ -107,4 +109,3 @@ class Table:
         digest.update(self.values.astype("<f8").tobytes())
         digest.update(self.visits.astype("<i8").tobytes())
         return digest.hexdigest()
-

@@ -1,4 +1,4 @@
-"""What a leg believes of a state's actions: how a table is read for choosing and bootstrapping. Pure.
+"""What a leg believes of a state's actions: how a table is read to choose and to bootstrap. Pure.
 
 Updates always touch one cell of the table; an estimate turns its values and visits into one value
 an action. To swap it, write a class with ``q_values`` and name it as ``parts.value``.

@@ -55,9 +55,7 @@ def spec_of(world: str) -> WorldSpec:
         )
     made = parts.find(world, "world")
     legs_of: Callable[[Params], Any] = getattr(made, "legs_of", WORLDS["walker"].legs_of)
-    return WorldSpec(
-        world, getattr(made, "stage", "walk"), lambda params: tuple(legs_of(params))
-    )
+    return WorldSpec(world, getattr(made, "stage", "walk"), lambda params: tuple(legs_of(params)))
 
 
 def legs_of(world: str, params: Params) -> tuple[str, ...]:

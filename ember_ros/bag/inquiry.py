@@ -78,7 +78,9 @@ class Inquiry:
                 service = absolute(self._namespace, TABLE)
                 self._questions[TABLE] = _Question(self._node, service, request)
             self._table = self._questions[TABLE].answer()
-        waiting = [name for name in (topics.CLOCK.name, topics.PHASE.name, *legs) if name not in self._told]
+        waiting = [
+            name for name in (topics.CLOCK.name, topics.PHASE.name, *legs) if name not in self._told
+        ]
         return waiting if self._table is not None else [*waiting, TABLE]
 
     def _ask_publisher(self, topic: str, names: Sequence[str]) -> None:
@@ -140,7 +142,7 @@ class Inquiry:
         return self._params(self._legs(world, [])[1], [])
 
     def _params(self, numbers: dict[str, Any], wrong: list[str]) -> Params:
-        """Return the legs' numbers, the sim node's and the CPG's; the defaults if they are wrong."""
+        """Return the numbers of legs, sim node and CPG together; the defaults if they are wrong."""
         sim = self._told.get(topics.CLOCK.name, {})
         cpg = self._told.get(topics.PHASE.name, {})
         try:

@@ -304,7 +304,7 @@ def _measures(params: Params, recorder: Recorder, work: float) -> dict[str, Any]
         "reward": sum(r.reward for r in rows) / len(rows),
         "reward_last": sum(r.reward for r in late) / len(late),
         "peak_force_n": sum(r.peak_force_n for r in late) / len(late),
-        "contact_share": sum(r.contact_share for r in late) / len(late),
+        "contact_share": sum(r.contact_share or 0.0 for r in late) / len(late),
         "duty_factor": sum(r.duty_factor for r in late) / len(late),
         "slip_m": sum(r.slip_m for r in late) / len(late),
         "turn_rad": sum(abs(r.turn_rad or 0.0) for r in late) / len(late),

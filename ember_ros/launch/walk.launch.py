@@ -15,7 +15,8 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from ember_ros.signals import LEGS, TRAINER_LEG
+from ember_ros.params import TRAINER_LEG
+from ember_ros.params_file import robot_legs
 
 UNSET = "; empty: the node's own default, or what params_file says"
 
@@ -74,11 +75,11 @@ def start(context: LaunchContext) -> list[Node]:
             "sim_node",
             given(world=str, cycles=int, seed=int, gui=bool, mode=str, bag=str),
         ),
-        node("cpg_node", "cpg_node", {}),
+        node("cpg_node", "cpg_node", given(world=str)),
         node("table_node", "table_node", {**stage, **given(table=str, save=str, seed=int)}),
         *(
             node("leg_node", f"leg_{leg}", {"leg": leg, **stage, **given(seed=int)})
-            for leg in ((TRAINER_LEG,) if trainer else LEGS)
+            for leg in ((TRAINER_LEG,) if trainer else robot_legs(params_file))
         ),
     ]
 
