@@ -1,7 +1,6 @@
-"""Legs mounted on something in Bullet: their motors and their senses, for both worlds.
+"""Legs mounted on something in Bullet, for both worlds: the physics, and their motors.
 
-Everything a leg senses is made here and nowhere else, the same way on the trainer and on the
-walker: that is what lets a leg be trained on the one and used on the other (paper, section I).
+What a leg senses is worked out in ``sim_node.sensors``, from what is read here.
 """
 
 from __future__ import annotations
@@ -18,8 +17,9 @@ from typing import Any
 
 from ember_ros import kinematics
 from ember_ros.errors import ParameterError
-from ember_ros.params import Params
+from ember_ros.params import Params, Physics
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense
+from sim_node.sensors import LegSensors
 
 
 @contextlib.contextmanager
@@ -40,7 +40,34 @@ with _quiet():
     import pybullet as bullet
 
 
-__all__ = ["BulletWorld", "Ground", "bullet"]
+__all__ = ["BulletWorld", "Ground", "bullet", "set_contact", "set_up"]
+
+
+def set_up(client: int, params: Params) -> None:
+    """Set gravity, the length of a physics step and the solver of an empty physics server."""
+    bullet.setGravity(0, 0, -params.physics.gravity, client)
+    bullet.setPhysicsEngineParameter(
+        fixedTimeStep=params.gait.tick_s / params.physics.substeps,
+        numSolverIterations=params.physics.iterations,
+        deterministicOverlappingPairs=1,
+        physicsClientId=client,
+    )
+
+
+def set_contact(client: int, body: int, link: int, physics: Physics) -> None:
+    """Give a link the friction and the softness of a foot, and nothing that brakes it."""
+    bullet.changeDynamics(
+        body,
+        link,
+        lateralFriction=physics.friction,
+        restitution=0.0,
+        linearDamping=0.0,
+        angularDamping=0.0,
+        jointDamping=0.0,
+        contactStiffness=physics.contact_stiffness,
+        contactDamping=physics.contact_damping,
+        physicsClientId=client,
+    )
 
 
 class Ground:
@@ -82,29 +109,14 @@ class Ground:
 
 
 class _Mount:
-    """One leg in Bullet: its indices there, and what its foot went through in this tick."""
+    """One leg in Bullet: its indices there, and its sensors."""
 
-    __slots__ = (
-        "foot", "force", "held", "hip", "inclination", "knee", "peak", "seen", "slide_x", "slide_y",
-        "strength", "touched", "x", "y",
-    )  # fmt: skip
+    __slots__ = ("foot", "held", "hip", "knee", "sensors")
 
-    def __init__(self, hip: int, knee: int, foot: int) -> None:
-        self.hip, self.knee, self.foot = hip, knee, foot
-        self.seen = -1
-        """The physics step in which the foot last touched the ground, there at ``x``, ``y``, m."""
-        self.x = self.y = 0.0
-        self.strength = 0.0
-        """The force in that step, N."""
-        self.inclination = 0.0
+    def __init__(self, hip: int, knee: int, foot: int, sensors: LegSensors) -> None:
+        self.hip, self.knee, self.foot, self.sensors = hip, knee, foot, sensors
         self.held: tuple[float, float] | None = None
         """Where hip and knee are held while the leg gets no command, rad."""
-        self.clear()
-
-    def clear(self) -> None:
-        """Begin a tick."""
-        self.force = self.peak = self.slide_x = self.slide_y = 0.0
-        self.touched = 0
 
 
 class BulletWorld(ABC):
@@ -216,7 +228,7 @@ class BulletWorld(ABC):
         self._set_motors(commands)
         self._drive(beat)
         for mount in self._mounts:
-            mount.clear()
+            mount.sensors.begin_tick()
         self._body_touched = False
         client, robot = self._client, self._robot
         for _ in range(self.params.physics.substeps):
@@ -237,13 +249,7 @@ class BulletWorld(ABC):
         """Load ground and robot anew and put the feet on the ground; the tick stays."""
         client, physics, leg = self._client, self.params.physics, self.params.leg
         bullet.resetSimulation(physicsClientId=client)
-        bullet.setGravity(0, 0, -physics.gravity, client)
-        bullet.setPhysicsEngineParameter(
-            fixedTimeStep=self.params.gait.tick_s / physics.substeps,
-            numSolverIterations=physics.iterations,
-            deterministicOverlappingPairs=1,
-            physicsClientId=client,
-        )
+        set_up(client, self.params)
         with tempfile.TemporaryDirectory(prefix="ember_ros_") as folder:
             file = Path(folder) / "robot.urdf"
             file.write_text(self._urdf(), encoding="utf-8")
@@ -267,20 +273,14 @@ class BulletWorld(ABC):
                 self._robot, joint, bullet.VELOCITY_CONTROL, force=0, physicsClientId=client
             )
         for link in links.values():
-            bullet.changeDynamics(
-                self._robot,
-                link,
-                lateralFriction=physics.friction,
-                restitution=0.0,
-                linearDamping=0.0,
-                angularDamping=0.0,
-                jointDamping=0.0,
-                contactStiffness=physics.contact_stiffness,
-                contactDamping=physics.contact_damping,
-                physicsClientId=client,
-            )
+            set_contact(client, self._robot, link, physics)
         self._mounts = [
-            _Mount(self._joints[f"{n}_hip"], self._joints[f"{n}_knee"], links[f"{n}_foot"])
+            _Mount(
+                self._joints[f"{n}_hip"],
+                self._joints[f"{n}_knee"],
+                links[f"{n}_foot"],
+                LegSensors(self.params),
+            )
             for n in self.legs
         ]
         self._by_link = {mount.foot: mount for mount in self._mounts}
@@ -345,40 +345,20 @@ class BulletWorld(ABC):
     # -- senses ------------------------------------------------------------------------------
 
     def _feel(self, contacts: Sequence[tuple[Any, ...]]) -> None:
-        """Take in the contacts of one physics step.
-
-        A foot is a sphere on flat ground: the point of contact moves as the foot's middle does,
-        so its way while in contact is how far the foot slid, but for rolling.
-        """
+        """Take in the contacts of one physics step."""
         now = self._steps = self._steps + 1
         by_link = self._by_link
         for contact in contacts:
             mount = by_link.get(contact[3])
-            if mount is None:
-                if contact[3] in self._trunk:
-                    self._body_touched = True
-                continue
-            force = contact[9]
-            if force <= 0.0:
-                continue
-            mount.force += force
-            if mount.seen == now:  # a second point, one step in a hundred: only its force counts
-                mount.strength += force
-            else:
-                mount.strength = force
+            if mount is not None:
                 x, y, _ = contact[5]
-                if mount.seen == now - 1:
-                    mount.slide_x += x - mount.x
-                    mount.slide_y += y - mount.y
-                mount.seen, mount.x, mount.y = now, x, y
-                mount.touched += 1
-            if mount.strength > mount.peak:
-                mount.peak = mount.strength
+                mount.sensors.touch(now, contact[9], x, y)
+            elif contact[3] in self._trunk:
+                self._body_touched = True
 
     def _sense(self, *, restart: bool) -> tuple[LegSense, ...]:
         """Read all sensors."""
-        client, params, tick = self._client, self.params, self._tick
-        substeps, radius = params.physics.substeps, params.leg.foot_radius
+        client = self._client
         joints = bullet.getJointStates(self._robot, self._read_joints, client)
         feet = bullet.getLinkStates(
             self._robot, self._read_links, computeForwardKinematics=1, physicsClientId=client
@@ -389,34 +369,15 @@ class BulletWorld(ABC):
         for n, mount in enumerate(self._mounts):
             hip, knee, foot = joints[2 * n], joints[2 * n + 1], feet[n]
             power += max(0.0, hip[1] * hip[3]) + max(0.0, knee[1] * knee[3])
-            x, y, z, w = foot[5]
-            # Gravity in the shank's frame, as an accelerometer there reads it.
-            inclination = math.atan2(2.0 * (x * z - w * y), 1.0 - 2.0 * (x * x + y * y))
-            slip = 0.0
-            if mount.touched:
-                turned = inclination - mount.inclination
-                turned = math.remainder(turned, math.tau) * mount.touched / substeps
-                rolled = radius * turned
-                forward_x, forward_y = 1.0 - 2.0 * (x * x + z * z), 2.0 * (w * z - x * y)
-                slip = math.hypot(
-                    mount.slide_x + rolled * forward_x, mount.slide_y + rolled * forward_y
-                )
-            mount.inclination = inclination
             senses.append(
-                LegSense(
-                    tick,
-                    hip[0],
-                    knee[0],
-                    hip[1],
-                    knee[1],
-                    mount.force / substeps,
-                    mount.peak,
-                    inclination,
-                    slip,
-                    foot[4][2] - radius < params.leg.hair_length,
-                    mount.seen == self._steps,
-                    restart,
+                mount.sensors.sense(
+                    self._tick,
+                    self._steps,
+                    (hip[0], knee[0], hip[1], knee[1]),
+                    foot[5],
+                    foot[4][2],
+                    restart=restart,
                 )
             )
-        self._worked = power * params.gait.tick_s
+        self._worked = power * self.params.gait.tick_s
         return tuple(senses)

@@ -53,18 +53,12 @@ def slide(params: Params, heading: float, axes: str) -> tuple[float, float]:
     Returns:
         How far it went, m, and how far it came off its heading, rad.
     """
-    from sim_node.bullet import Ground, bullet
+    from sim_node.bullet import Ground, bullet, set_contact, set_up
 
     physics, foot = params.physics, params.leg.foot_radius
     client = bullet.connect(bullet.DIRECT)
     try:
-        bullet.setGravity(0, 0, -physics.gravity, client)
-        bullet.setPhysicsEngineParameter(
-            fixedTimeStep=params.gait.tick_s / physics.substeps,
-            numSolverIterations=physics.iterations,
-            deterministicOverlappingPairs=1,
-            physicsClientId=client,
-        )
+        set_up(client, params)
         ground = Ground(client)
         ground.turn(heading if axes == "robot" else 0.0)
         arm = params.walker.hip_half_width
@@ -78,17 +72,7 @@ def slide(params: Params, heading: float, axes: str) -> tuple[float, float]:
         body = bullet.createMultiBody(
             params.walker.mass, feet, -1, (0.0, 0.0, foot), turned, physicsClientId=client
         )
-        bullet.changeDynamics(
-            body,
-            -1,
-            lateralFriction=physics.friction,
-            restitution=0.0,
-            linearDamping=0.0,
-            angularDamping=0.0,
-            contactStiffness=physics.contact_stiffness,
-            contactDamping=physics.contact_damping,
-            physicsClientId=client,
-        )
+        set_contact(client, body, -1, physics)
         second = round(physics.substeps / params.gait.tick_s)
         for _ in range(second):  # it sinks in
             bullet.stepSimulation(client)

@@ -57,7 +57,13 @@ DECIDES = (
     *("cpg_node.cpg", "leg_node.assembly", "leg_node.discretizer", "leg_node.gait"),
     *("leg_node.learner", "leg_node.module", "leg_node.policy", "leg_node.reward"),
     *("leg_node.shared", "leg_node.table", "leg_node.value"),
-    *("sim_node.bodies", "sim_node.bullet", "sim_node.trainer", "sim_node.walker"),
+    *(
+        "sim_node.bodies",
+        "sim_node.bullet",
+        "sim_node.sensors",
+        "sim_node.trainer",
+        "sim_node.walker",
+    ),
 )
 """The modules that decide what comes of a trial."""
 
