@@ -47,9 +47,9 @@ from ember_ros.loop import Loop
 from ember_ros.params import Params, params_sha256, replace
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.plan import Plan
+from leg_node.assembly import empty_table
 from leg_node.journal import Journal
 from leg_node.shared import Push
-from leg_node.table import empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
 from support.plans import TINY as PARAMS

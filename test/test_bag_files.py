@@ -52,9 +52,11 @@ from ember_ros.observer import Observer
 from ember_ros.params import Params
 from ember_ros.plan import Plan
 from ember_ros.shipped import BAG, DATA
-from ember_ros.signals import LEGS, BodyState, Phase
-from leg_node.table import Table, empty_table
+from ember_ros.signals import Beat, BodyState
+from leg_node.assembly import empty_table
+from leg_node.table import Table
 from sim_node.fake import FakeWorld
+from support.legs import LEGS
 from support.runs import Heard
 
 PARAMS = Params()
@@ -904,7 +906,7 @@ class Without:
     def __init__(self, other: Observer, missing: Callable[[int, int], bool]) -> None:
         self._other, self._missing = other, missing
 
-    def tick(self, phase: Phase, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
+    def tick(self, phase: Beat, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
         """Pass a tick on."""
         left = [None if self._missing(senses[0].tick, n) else c for n, c in enumerate(commands)]
         self._other.tick(phase, senses, left, body, paid)
@@ -1650,7 +1652,7 @@ class Extreme:
     def __init__(self, other: Observer) -> None:
         self._other = other
 
-    def tick(self, phase: Phase, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
+    def tick(self, phase: Beat, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
         """Pass a tick on."""
         if senses[0].tick == 9:
             hard = senses[1]._replace(

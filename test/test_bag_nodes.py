@@ -30,15 +30,16 @@ from ember_ros.graph import Graph
 from ember_ros.loop import Loop
 from ember_ros.params import Params, as_dict, replace
 from ember_ros.plan import Plan
-from ember_ros.signals import LEGS, LegCommand
+from ember_ros.signals import LegCommand
 from ember_ros.versions import versions
+from leg_node.assembly import empty_table
 from leg_node.node import LegNode
-from leg_node.table import empty_table
 from leg_node.table_file import save_table
 from leg_node.table_node import TableNode
 from sim_node import node as sim_module
 from sim_node.fake import FakeWorld
 from support.bags import raws_of
+from support.legs import LEGS
 from support.needs import needs_bags
 from support.plans import small_plan
 from support.robot import PATIENCE_S, Robot, matched, overrides

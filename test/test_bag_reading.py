@@ -40,16 +40,18 @@ from ember_ros.bag.window import LATE, Window
 from ember_ros.errors import BagError
 from ember_ros.loop import Loop
 from ember_ros.params import Params, as_dict, params_sha256, replace
-from ember_ros.plan import Plan, legs_of
+from ember_ros.plan import Plan
 from ember_ros.report.recorder import BODY, Recorder, Row, load_record
-from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Phase, Transition
-from leg_node.gait import LegGait
-from leg_node.reward import Rewarder
-from leg_node.state import Partition
-from leg_node.table import empty_table
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
+from leg_node.assembly import empty_table
+from leg_node.discretizer import PaperDiscretizer
+from leg_node.gait import HipRamp
+from leg_node.reward import PaperReward
 from sim_node.fake import FakeWorld
+from sim_node.worlds import legs_of
 from support import bags
 from support.bags import raws_of
+from support.legs import LEGS
 from support.needs import needs_bags
 from support.plans import TINY as PARAMS
 
@@ -93,7 +95,7 @@ class Listener:
 
     def tick(
         self,
-        phase: Phase,
+        phase: Beat,
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
@@ -1563,7 +1565,7 @@ def hold_line(line: dict[str, str], run: Run, tick: Tick, after: Tick | None, le
     """Hold that a line says what was heard, to the bit."""
     n = run.plan.legs.index(leg)
     sense, command = tick.senses[n], tick.commands[n]
-    gait = LegGait(PARAMS.gait, leg)
+    gait = HipRamp(PARAMS.gait, leg)
     stance = gait.stance(tick.phase)
     paid = gait.rewarded_as_stance(tick.phase, PARAMS.reward.lead)
     assert int(line["tick"]) == tick.tick
@@ -1579,14 +1581,14 @@ def hold_line(line: dict[str, str], run: Run, tick: Tick, after: Tick | None, le
     for name in LegCommand._fields[1:]:
         said = line[f"command_{name}"]
         assert said == "" if command is None else repr(float(said)) == repr(getattr(command, name))
-    speeds, rewarder = PARAMS.leg.knee_speeds, Rewarder(PARAMS)
+    speeds, rewarder = PARAMS.leg.knee_speeds, PaperReward(PARAMS)
     did = None if after is None else after.transitions[n]
     if after is None or did is None or not did.credited:
         assert line["state"] == line["action"] == line["reward"] == ""
         assert {line[f"reward_{name}"] for name in rewarder.names} == {""}
     else:
         if sense is not None:
-            assert line["state"] == str(Partition(PARAMS).index(sense, stance))
+            assert line["state"] == str(PaperDiscretizer(PARAMS).index(sense, stance))
         if command is not None:
             assert line["action"] == str(speeds.index(command.knee_speed))
         then = after.senses[n]
@@ -1612,7 +1614,7 @@ def test_a_line_a_tick_and_leg(tmp_path: Path, world: str) -> None:
         _, rows = look.info(opened)
     assert files == [tmp_path / "deep/csv" / name for name in ("cycles.csv", "ticks.csv")]
     lines = lines_of(files[1])
-    terms = (f"reward_{name}" for name in Rewarder.names)
+    terms = (f"reward_{name}" for name in PaperReward.names)
     assert tuple(lines[0]) == (*look.TICK_COLUMNS, *terms)
     assert len(lines) == len(run.heard) * len(run.plan.legs)
     rest = iter(lines)

@@ -7,9 +7,9 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from ember_ros.params import Params, replace
-from ember_ros.signals import LEGS, TRAINER_LEG
+from ember_ros.params import TRAINER_LEG, Params, replace
 from sim_node.bodies import trainer_urdf, walker_urdf
+from support.legs import LEGS
 
 PARAMS = Params()
 ROBOTS = {"walker": (walker_urdf, LEGS), "trainer": (trainer_urdf, (TRAINER_LEG,))}

@@ -28,12 +28,12 @@ from ember_ros.params_file import dump_params, load_params
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import BODY, Row
 from ember_ros.run import SUMMARY, TABLE
-from ember_ros.signals import LEGS
-from leg_node.reward import Rewarder
-from leg_node.table import empty_table
+from leg_node.assembly import empty_table
+from leg_node.reward import PaperReward
 from leg_node.table_file import load_table, save_table
 from support import bags
 from support.bags import Made, write
+from support.legs import LEGS
 from support.needs import needs_bags, needs_bullet
 from support.plans import TINY as PARAMS
 
@@ -411,7 +411,7 @@ def test_csv_writes_two_files(run: Go, walked: Made) -> None:
     assert text == "In out/csv: cycles.csv, ticks.csv"
     with Path("out/csv/ticks.csv").open(newline="") as file:
         lines = list(csv.reader(file))
-    assert tuple(lines[0]) == (*look.TICK_COLUMNS, *(f"reward_{n}" for n in Rewarder.names))
+    assert tuple(lines[0]) == (*look.TICK_COLUMNS, *(f"reward_{n}" for n in PaperReward.names))
     assert len(lines) == 1 + CYCLES * TICKS * 4
     with Path("out/csv/cycles.csv").open(newline="") as file:
         lines = list(csv.reader(file))

@@ -49,10 +49,11 @@ from ember_ros.experiments.trial import (
 from ember_ros.experiments.words import column
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
-from ember_ros.plan import Plan, make_world
+from ember_ros.plan import Plan
 from ember_ros.signals import LegCommand, LegSense
-from leg_node.state import Partition
+from leg_node.discretizer import PaperDiscretizer
 from leg_node.table_file import load_table
+from sim_node.worlds import make_world
 
 pytest.importorskip("pybullet", reason="a trial needs a world")
 pytest.importorskip("scipy", reason="statistics need it")
@@ -273,7 +274,7 @@ def test_a_sense_that_is_left_out_says_nothing() -> None:
         "without inclination": base._replace(inclination=0.3),
     }
     for name, changes in senses.WITHOUT.items():
-        partition = Partition(numbers("ember", **changes))
+        partition = PaperDiscretizer(numbers("ember", **changes))
         same = {
             lost
             for lost, sense in other.items()

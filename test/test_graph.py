@@ -20,10 +20,11 @@ from ember_ros.errors import EmberError
 from ember_ros.graph import Graph
 from ember_ros.params import Params, cells_sha256
 from ember_ros.plan import Plan
-from ember_ros.signals import LEGS, LegCommand, LegSense, Pair
+from ember_ros.signals import LegCommand, LegSense, Pair
+from leg_node.assembly import empty_table
 from leg_node.shared import LocalCopy, Push, SharedTable
-from leg_node.table import empty_table
 from leg_node.table_file import save_table
+from support.legs import LEGS
 from support.plans import changed
 from support.robot import LEG_NODES, PATIENCE_S, Robot, level
 from support.ros import Ros

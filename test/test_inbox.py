@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from leg_node.inbox import KEPT, Inbox
+from ember_ros.inbox import KEPT, Inbox
 
 SOURCES = ("joints", "contact", "phase")
 few = settings(max_examples=100, deadline=None, derandomize=True)

@@ -19,7 +19,8 @@ from typing import Any
 import pytest
 import yaml
 
-from ember_ros.signals import LEGS, TRAINER_LEG
+from ember_ros.params import TRAINER_LEG
+from support.legs import LEGS
 
 LAUNCH = Path(__file__).resolve().parents[1] / "ember_ros" / "launch"
 FILES = sorted(path.name for path in LAUNCH.glob("*.launch.py"))

@@ -12,17 +12,19 @@ import pytest
 
 from ember_ros.errors import ParameterError, TableError
 from ember_ros.loop import Loop
-from ember_ros.params import replace
+from ember_ros.params import TRAINER_LEG, replace
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan, make_world
+from ember_ros.plan import Plan
 from ember_ros.report.recorder import Recorder
-from ember_ros.signals import LEGS, TRAINER_LEG, LegSense
-from leg_node.gait import LegGait
+from ember_ros.signals import LegSense
+from leg_node.assembly import empty_table
+from leg_node.gait import HipRamp
 from leg_node.module import LegModule
-from leg_node.table import empty_table
 from leg_node.table_file import save_table
 from sim_node.fake import FakeWorld
+from sim_node.worlds import make_world
 from support.learning import literally
+from support.legs import LEGS
 from support.needs import needs_bullet
 from support.runs import Heard
 
@@ -324,7 +326,7 @@ def test_a_leg_s_name_and_place_go_with_its_senses() -> None:
         for _ in range(TICKS):
             loop.tick()
         for leg, sense in zip(LEGS, loop.world.observe(), strict=True):
-            goal = LegGait(PARAMS.gait, leg).hip_goal((TICKS - 1) / TICKS)
+            goal = HipRamp(PARAMS.gait, leg).hip_goal((TICKS - 1) / TICKS)
             assert sense.hip == pytest.approx(goal, abs=0.01)
 
 

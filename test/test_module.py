@@ -8,16 +8,18 @@ from itertools import pairwise
 import pytest
 
 from ember_ros.errors import ParameterError
-from ember_ros.params import Params, replace
+from ember_ros.params import TRAINER_LEG, Params, replace
 from ember_ros.params_file import load_params
-from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense
-from leg_node.gait import LegGait
+from ember_ros.signals import LegCommand, LegSense
+from leg_node.assembly import empty_table
+from leg_node.discretizer import PaperDiscretizer
+from leg_node.gait import HipRamp
 from leg_node.module import LegModule
-from leg_node.reward import Rewarder
-from leg_node.state import Partition
-from leg_node.table import Table, empty_table
+from leg_node.reward import PaperReward
+from leg_node.table import Table
 from sim_node.fake import FakeWorld
 from support.learning import paid
+from support.legs import LEGS
 
 PARAMS = load_params("plain")
 TICKS = PARAMS.gait.ticks
@@ -66,8 +68,8 @@ def visits(leg: LegModule) -> int:
 def test_a_leg_is_q_learning() -> None:
     """400 ticks are one-step Q-learning, written here a second time from senses and commands."""
     leg, plain = module(seed=5), empty_table(PARAMS)
-    partition, rewarder = Partition(PARAMS), Rewarder(PARAMS)
-    gait, numbers = LegGait(PARAMS.gait, TRAINER_LEG), PARAMS.walk
+    partition, rewarder = PaperDiscretizer(PARAMS), PaperReward(PARAMS)
+    gait, numbers = HipRamp(PARAMS.gait, TRAINER_LEG), PARAMS.walk
     before: list[tuple[int, int, bool]] = []
 
     def learn(sense: LegSense, command: LegCommand) -> None:
@@ -111,9 +113,9 @@ def test_what_is_done_after_a_restart_is_credited() -> None:
     live(leg, 1, world=world, begin=11)
     changed = (leg.copy.table.visits - before).nonzero()[0]
     (put_down,) = FakeWorld((TRAINER_LEG,), PARAMS).observe()
-    stance = LegGait(PARAMS.gait, TRAINER_LEG).stance(10 / TICKS)
+    stance = HipRamp(PARAMS.gait, TRAINER_LEG).stance(10 / TICKS)
     assert sense.tick == 11
-    assert [cell // 9 for cell in changed] == [Partition(PARAMS).index(put_down, stance)]
+    assert [cell // 9 for cell in changed] == [PaperDiscretizer(PARAMS).index(put_down, stance)]
 
 
 @pytest.mark.parametrize("missed", [(10,), (10, 11, 12), tuple(range(5, 25))])
@@ -181,8 +183,8 @@ def test_the_stage_decides_the_learning_numbers() -> None:
 
 def test_a_leg_learns() -> None:
     """In the fake world, 300 cycles of training earn more a tick than the first ones did."""
-    leg, rewarder, earned = module(stage="train", seed=1), Rewarder(PARAMS), []
-    gait = LegGait(PARAMS.gait, TRAINER_LEG)
+    leg, rewarder, earned = module(stage="train", seed=1), PaperReward(PARAMS), []
+    gait = HipRamp(PARAMS.gait, TRAINER_LEG)
 
     def earn(sense: LegSense, command: LegCommand) -> None:
         if sense.tick:
@@ -198,7 +200,7 @@ def test_a_leg_learns() -> None:
 
 def test_commands_are_of_their_tick_and_within_what_a_motor_has() -> None:
     """Tick, a knee speed of the list, a hip speed up to its limit, the motors' own torques."""
-    gait = LegGait(PARAMS.gait, TRAINER_LEG)
+    gait = HipRamp(PARAMS.gait, TRAINER_LEG)
 
     def look(sense: LegSense, command: LegCommand) -> None:
         assert command.tick == sense.tick
@@ -217,7 +219,7 @@ def test_commands_are_of_their_tick_and_within_what_a_motor_has() -> None:
 
 def test_the_hip_follows_its_ramp() -> None:
     """A hip that obeys is where the ramp says after each tick, once it has caught up."""
-    gait = LegGait(PARAMS.gait, "front_right")
+    gait = HipRamp(PARAMS.gait, "front_right")
 
     def look(sense: LegSense, command: LegCommand) -> None:
         if sense.tick > TICKS:

@@ -26,15 +26,16 @@ from ember_ros.options import OPTIONS
 from ember_ros.params import SPECS, Params, cells_sha256
 from ember_ros.plan import Plan
 from ember_ros.run import SUMMARY
-from ember_ros.signals import LEGS, LegSense, Pair
+from ember_ros.signals import LegSense, Pair
 from ember_ros.spinning import main_of
+from leg_node.assembly import empty_table
 from leg_node.module import LegModule
 from leg_node.node import LegNode
 from leg_node.shared import Push, SharedTable
-from leg_node.table import empty_table
 from leg_node.table_file import load_table, save_table
 from leg_node.table_node import TableNode
 from sim_node.node import FINISHED, SimNode
+from support.legs import LEGS
 from support.robot import overrides
 from support.ros import Ros
 from support.runs import Heard

@@ -13,7 +13,7 @@ from ember_ros.bag.card import NEUTRAL, Card, read_card
 from ember_ros.errors import BagError
 from ember_ros.params import Params, digest, params_sha256
 from ember_ros.plan import Plan
-from leg_node.table import empty_table
+from leg_node.assembly import empty_table
 from support.needs import needs_bags
 
 KEPT = Path(__file__).parent / "fixtures" / "walk"

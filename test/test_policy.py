@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ember_ros.kinematics import height
-from ember_ros.params import Learning, Params
+from ember_ros.params import TRAINER_LEG, Learning, Params
 from ember_ros.randomness import WORLD, generator
-from ember_ros.signals import TRAINER_LEG, LegSense
-from leg_node.gait import LegGait
+from ember_ros.signals import LegSense
+from leg_node.gait import HipRamp
 from leg_node.policy import EpsilonGreedy, Random, Scripted, epsilon_at
-from leg_node.reading import PlainReading
 from leg_node.table import Table
+from leg_node.value import TableValues
 
 TICKS = 32
 PARAMS = Params()
@@ -37,7 +37,7 @@ def greedy(
     table = Table(len(rows), len(rows[0]))
     table.values[:] = np.ravel(rows)
     learning = Learning(epsilon_start=start, epsilon_end=end, epsilon_cycles=cycles)
-    return EpsilonGreedy(PlainReading(table), learning, len(rows[0]), TICKS, generator(seed, 0))
+    return EpsilonGreedy(TableValues(table), learning, len(rows[0]), TICKS, generator(seed, 0))
 
 
 # -- epsilon-greedy ------------------------------------------------------------------------------
@@ -118,7 +118,7 @@ def test_the_table_is_read_as_it_is_now() -> None:
     """A policy keeps no copy of the values: what was learnt this tick counts this tick."""
     table = Table(1, 2)
     policy = EpsilonGreedy(
-        PlainReading(table), Learning(epsilon_start=0.0, epsilon_end=0.0), 2, TICKS, generator(0, 0)
+        TableValues(table), Learning(epsilon_start=0.0, epsilon_end=0.0), 2, TICKS, generator(0, 0)
     )
     for best in (0, 1, 0):
         table.put(best, 1.0, 1)
@@ -172,9 +172,9 @@ def test_a_leg_s_numbers_do_not_depend_on_other_legs() -> None:
 # -- scripted ------------------------------------------------------------------------------------
 
 
-def script() -> tuple[Scripted, LegGait]:
+def script() -> tuple[Scripted, HipRamp]:
     """Return the script of a leg without phase offset, and its gait."""
-    gait = LegGait(PARAMS.gait, TRAINER_LEG)
+    gait = HipRamp(PARAMS.gait, TRAINER_LEG)
     return Scripted(PARAMS, gait), gait
 
 

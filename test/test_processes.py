@@ -28,8 +28,8 @@ from ember_ros.params_file import dump_params
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import load_record
 from ember_ros.seat import TAKEN, TakenError
-from ember_ros.signals import LEGS
 from leg_node.table_file import load_table
+from support.legs import LEGS
 from support.robot import LEG_NODES, PATIENCE_S, level
 from support.ros import Ros
 from support.runs import Bits

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ember_ros.params import Learning, Rate
-from leg_node.reading import PlainReading, SmoothReading
 from leg_node.table import Floats, Table
+from leg_node.value import SmoothedValues, TableValues
 
 SHAPE, ACTIONS, TICKS = (3, 2, 4, 2, 2), 3, 4
 STATES = 96
@@ -48,7 +48,7 @@ def by_definition(table: Table, numbers: Learning) -> Floats:
 def test_plain_reading_is_the_table() -> None:
     """No more and no less, also after it was learnt from."""
     table = some_table()
-    reading = PlainReading(table)
+    reading = TableValues(table)
     assert reading.row(0, 7) == table.row(7)
     table.update(7 * ACTIONS, 5.0, Rate(0.1, 1.0))
     assert reading.row(1, 7) == table.row(7)
@@ -58,7 +58,7 @@ def test_plain_reading_is_the_table() -> None:
 def test_smoothed_reading_is_what_it_says(seed: int) -> None:
     """The separable sums equal the definition, cell by cell, to rounding."""
     numbers, table = Learning(smooth=0.3, visits_own=9, visits_near=4), some_table(seed)
-    reading = SmoothReading(table, SHAPE, numbers, TICKS)
+    reading = SmoothedValues(table, SHAPE, numbers, TICKS)
     got = np.array([reading.row(0, state) for state in range(STATES)])
     assert np.abs(got - by_definition(table, numbers)).max() < 1e-12
 
@@ -69,14 +69,14 @@ def test_untried_actions_are_no_better_than_their_state() -> None:
     for _ in range(50):
         table.update(0, -2.0, Rate(0.01, 1.0))
         table.update(1, -3.0, Rate(0.01, 1.0))
-    row = SmoothReading(table, SHAPE, Learning(smooth=1e-9), TICKS).row(0, 0)
+    row = SmoothedValues(table, SHAPE, Learning(smooth=1e-9), TICKS).row(0, 0)
     assert row[2] < min(row[:2])
 
 
 def test_a_smoothed_reading_holds_for_its_cycles() -> None:
     """It is made anew every ``smooth_every`` cycles, at ticks that all ways of running share."""
     table = some_table()
-    reading = SmoothReading(table, SHAPE, Learning(smooth=0.3, smooth_every=2), TICKS)
+    reading = SmoothedValues(table, SHAPE, Learning(smooth=0.3, smooth_every=2), TICKS)
     first = reading.row(0, 3)
     table.update(3 * ACTIONS, 100.0, Rate(0.5, 1.0))
     assert reading.row(2 * TICKS - 1, 3) == first

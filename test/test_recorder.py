@@ -16,11 +16,12 @@ import pytest
 
 from ember_ros.params import Params
 from ember_ros.report.recorder import BODY, CYCLES, MEASURED, TRACES, Recorder, Row, load_record
-from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Transition
-from leg_node.gait import LegGait
+from ember_ros.signals import BodyState, LegCommand, LegSense, Transition
+from leg_node.gait import HipRamp
 from leg_node.module import LegModule
-from leg_node.reward import Rewarder
+from leg_node.reward import PaperReward
 from sim_node.fake import FakeWorld
+from support.legs import LEGS
 
 PARAMS = Params()
 TICKS = PARAMS.gait.ticks
@@ -109,10 +110,10 @@ def test_a_cycle_that_was_begun_has_its_line() -> None:
 def test_the_legs_lines() -> None:
     """Peak force, mean reward, contact share and slip of each leg, written here a second time."""
     heard = run(2 * TICKS, falls_at=[40])
-    recorder, rewarder = record(heard), Rewarder(PARAMS)
+    recorder, rewarder = record(heard), PaperReward(PARAMS)
     assert sum(did is None or not did.credited for t in heard[1:] for did in t.transitions) == 4
     for place, leg in enumerate(LEGS):
-        gait = LegGait(PARAMS.gait, leg)
+        gait = HipRamp(PARAMS.gait, leg)
         for cycle in range(2):
             ends = [
                 (
@@ -147,7 +148,7 @@ def test_the_legs_lines() -> None:
 def test_contact_share_is_of_stance_only() -> None:
     """Always on the ground is 1, never is 0, and contact in swing does not count."""
     heard = run(TICKS)
-    gait = LegGait(PARAMS.gait, LEGS[0])
+    gait = HipRamp(PARAMS.gait, LEGS[0])
     for pattern, wanted in (("always", 1.0), ("never", 0.0), ("swing", 0.0), ("stance", 1.0)):
         changed = []
         for n, tick in enumerate(heard):

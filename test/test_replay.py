@@ -24,13 +24,14 @@ from ember_ros.params import Params, replace
 from ember_ros.plan import Plan
 from ember_ros.run import run
 from ember_ros.shipped import BAG, DATA
-from ember_ros.signals import LEGS, LegCommand
-from leg_node.table import empty_table
+from ember_ros.signals import LegCommand
+from leg_node.assembly import empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
 from support import bags
 from support.bags import Made, write
 from support.learning import Seen, literally
+from support.legs import LEGS
 from support.needs import needs_bags, needs_bullet
 from support.plans import small_plan
 from support.ros import Ros
@@ -179,7 +180,7 @@ def test_a_replay_is_the_run_bit_for_bit(run_of: Callable[[str], Made], name: st
 @pytest.mark.parametrize("world", ["walker", "trainer"])
 def test_a_replay_of_a_real_world_is_the_run(tmp_path: Path, world: str) -> None:
     """What Bullet made of a body that falls is shown again without Bullet, to the same bits."""
-    from ember_ros.plan import make_world
+    from sim_node.worlds import make_world
 
     narrow = plan(5, world=world, policy="random", walker__hip_half_width=0.02)
     made = record(tmp_path / "bag", narrow, world=make_world(world, narrow.params, narrow.seed))

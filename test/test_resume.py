@@ -14,8 +14,8 @@ from ember_ros.params import Params, replace
 from ember_ros.plan import MOST, Plan
 from ember_ros.resume import beginning, resumed
 from ember_ros.run import SUMMARY, TABLE, run
+from leg_node.assembly import empty_table
 from leg_node.policy import epsilon_at
-from leg_node.table import empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
 from support.needs import needs_bullet

@@ -7,8 +7,10 @@ from typing import NamedTuple, get_type_hints
 
 import pytest
 
+from ember_ros.params import TRAINER_LEG
 from ember_ros.report import recorder
-from ember_ros.signals import LEGS, TRAINER_LEG, BodyState, LegCommand, LegSense, Pair
+from ember_ros.signals import BodyState, LegCommand, LegSense, Pair
+from support.legs import LEGS
 
 SIGNALS = (LegSense, LegCommand, Pair, BodyState)
 

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 from ember_ros.params import Params, replace
 from ember_ros.signals import LegSense
-from leg_node.state import Partition
-from leg_node.table import empty_table
+from leg_node.assembly import empty_table
+from leg_node.discretizer import PaperDiscretizer
 
 PARAMS = Params()
-PARTITION = Partition(PARAMS)
+PARTITION = PaperDiscretizer(PARAMS)
 STATE, LOAD = PARAMS.state, PARAMS.leg.load
 AT_REST = LegSense(0, 0.1, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, False)
 
@@ -39,7 +39,7 @@ senses = st.builds(
 )
 
 
-def bins(index: int, partition: Partition = PARTITION) -> tuple[int, ...]:
+def bins(index: int, partition: PaperDiscretizer = PARTITION) -> tuple[int, ...]:
     """Return the bins of hip, force, inclination, swing and hair of a state."""
     return tuple(int(n) for n in np.unravel_index(index, partition.shape))
 
@@ -161,7 +161,7 @@ def test_another_partition() -> None:
         PARAMS,
         {"state.hip_bins": 3, "state.force_edges": (0.5,), "state.inclination_edges": (-0.5, 0.0)},
     )
-    partition = Partition(params)
+    partition = PaperDiscretizer(params)
     assert partition.shape == (3, 2, 3, 2, 2)
     assert partition.size == empty_table(params).states == 72
     top = AT_REST._replace(hip=9.0, force_mean=99.0, inclination=9.0, hair=True)

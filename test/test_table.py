@@ -22,7 +22,8 @@ from hypothesis import strategies as st
 
 from ember_ros.errors import TableError
 from ember_ros.params import Params, Rate, as_dict, cells_sha256, params_sha256, replace
-from leg_node.table import Table, empty_table
+from leg_node.assembly import empty_table
+from leg_node.table import Table
 from leg_node.table_file import load_table, save_table
 
 RATE = Rate(0.1, 1.0)

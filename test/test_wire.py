@@ -22,10 +22,12 @@ from std_msgs.msg import Float64
 
 from ember_ros import calls, wire
 from ember_ros.errors import PushError, SignalError
-from ember_ros.params import Params, cells_sha256
-from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense, Pair, Transition
+from ember_ros.params import TRAINER_LEG, Params, cells_sha256
+from ember_ros.signals import LegCommand, LegSense, Pair, Transition
+from leg_node.assembly import empty_table
 from leg_node.shared import Changes, Push, SharedTable
-from leg_node.table import Table, empty_table
+from leg_node.table import Table
+from support.legs import LEGS
 
 TICK_NS = 15_625_000
 TICKS = 32

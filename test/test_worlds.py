@@ -13,11 +13,13 @@ import pytest
 
 from ember_ros import kinematics
 from ember_ros.loop import Loop
-from ember_ros.params import Params, replace
-from ember_ros.plan import Plan, make_world
-from ember_ros.signals import LEGS, TRAINER_LEG, BodyState, LegCommand, LegSense
+from ember_ros.params import TRAINER_LEG, Params, replace
+from ember_ros.plan import Plan
+from ember_ros.signals import BodyState, LegCommand, LegSense
 from sim_node.fake import FakeWorld
 from sim_node.world import World
+from sim_node.worlds import make_world
+from support.legs import LEGS
 from support.needs import needs_bullet
 from support.plans import changed
 

@@ -200,7 +200,7 @@ def _over(group: Sequence[Row]) -> tuple[str, ...]:
     return (
         group[0].module,
         f"{sum(row.reward for row in group) / n:.3f}",
-        f"{sum(row.contact_share for row in group) / n:.0%}",
+        f"{sum(row.contact_share or 0.0 for row in group) / n:.0%}",
         f"{max(row.peak_force_n for row in group):.0f}",
         f"{sum(row.slip_m for row in group):.3f}",
         f"{sum(row.distance_m or 0.0 for row in group):.3f}" if body else "",

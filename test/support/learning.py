@@ -6,17 +6,19 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 from ember_ros.params import Params
-from ember_ros.signals import LEGS, LegCommand, LegSense
-from leg_node.gait import LegGait
-from leg_node.reward import Rewarder
-from leg_node.state import Partition
-from leg_node.table import Table, empty_table
+from ember_ros.signals import LegCommand, LegSense
+from leg_node.assembly import empty_table
+from leg_node.discretizer import PaperDiscretizer
+from leg_node.gait import HipRamp
+from leg_node.reward import PaperReward
+from leg_node.table import Table
+from support.legs import LEGS
 
 Seen = tuple[float, Sequence[LegSense | None], Sequence[LegCommand | None]]
 """A tick: its phase, and the senses and commands of all legs, of which none may be missing."""
 
 
-def paid(rewarder: Rewarder, sense: LegSense, stance: bool) -> float:
+def paid(rewarder: PaperReward, sense: LegSense, stance: bool) -> float:
     """Return the reward: its terms added one after the other, as no ``sum`` of Python 3.12 does."""
     total = 0.0
     for value in rewarder.terms(sense, stance).values():
@@ -27,8 +29,8 @@ def paid(rewarder: Rewarder, sense: LegSense, stance: bool) -> float:
 def literally(runs: Iterable[Sequence[Seen]], params: Params) -> Table:
     """Return what four legs write into one table in these runs, tick by tick and leg by leg."""
     table, learning = empty_table(params), params.walk
-    partition, rewarder = Partition(params), Rewarder(params)
-    gaits = [LegGait(params.gait, leg) for leg in LEGS]
+    partition, rewarder = PaperDiscretizer(params), PaperReward(params)
+    gaits = [HipRamp(params.gait, leg) for leg in LEGS]
     speeds = params.leg.knee_speeds
     for run in runs:
         for (phase, senses, commands), (next_phase, next_senses, _) in itertools.pairwise(run):

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from ember_ros.loop import Loop
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import Recorder
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 
 
 class Bits(NamedTuple):
@@ -52,7 +52,7 @@ class Heard:
 
     def __init__(self) -> None:
         """Begin with nothing."""
-        self.phases: list[Phase] = []
+        self.phases: list[Beat] = []
         self.senses: list[tuple[LegSense, ...]] = []
         self.commands: list[tuple[LegCommand, ...]] = []
         self.bodies: list[BodyState] = []
@@ -60,7 +60,7 @@ class Heard:
 
     def tick(
         self,
-        phase: Phase,
+        phase: Beat,
         senses: Sequence[LegSense],
         commands: Sequence[Any],
         body: BodyState,
@@ -74,6 +74,6 @@ class Heard:
         self.transitions.append(tuple(transitions))
 
     @property
-    def seen(self) -> list[tuple[Phase, tuple[LegSense, ...], tuple[LegCommand, ...]]]:
+    def seen(self) -> list[tuple[Beat, tuple[LegSense, ...], tuple[LegCommand, ...]]]:
         """What legs could see: phase, senses and commands of each tick."""
         return list(zip(self.phases, self.senses, self.commands, strict=True))
