@@ -50,7 +50,8 @@ class Beats:
     def __init__(self, cpg: CentralPatternGenerator) -> None:
         """Begin before the first tick."""
         self._cpg = cpg
-        self._last = Beat(-1, 0.0)
+        self.last = Beat(-1, 0.0)
+        """The beat of the last tick."""
         self.hears_legs = bool(getattr(cpg, "hears_legs", False))
         """Whether the oscillator is given what the legs sense."""
 
@@ -61,11 +62,11 @@ class Beats:
             ParameterError: the phase is negative, not finite, or runs backwards.
         """
         phase = float(self._cpg.step(tick, feedback if self.hears_legs else ()))
-        least = self._last.phase if tick > self._last.tick else 0.0
+        least = self.last.phase if tick > self.last.tick else 0.0
         if not least <= phase < 2.0**53:
             raise ParameterError(
                 f"parts.cpg: {type(self._cpg).__name__} says phase {phase!r} at tick {tick}; "
                 f"{least!r} or more, and finite, would be right: a phase never runs backwards"
             )
-        self._last = Beat(tick, phase)
-        return self._last
+        self.last = Beat(tick, phase)
+        return self.last

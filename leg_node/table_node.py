@@ -58,7 +58,6 @@ class TableNode(Seated, Node):  # type: ignore[misc]
         self._save = Path(options["save"]) if options["save"] else None
         self._seed = options["seed"]
         self._numbers = numbers_of(params, options["stage"])
-        self._legs = len(params.robot.legs) if options["stage"] == "walk" else 1
         self._journal = Journal(self._save) if self._save else None
         self._born = time.time_ns()  # versions of a later life are greater than all before
         self._generation = 0
@@ -92,7 +91,7 @@ class TableNode(Seated, Node):  # type: ignore[misc]
     def _share(self, table: Table) -> SharedTable:
         return SharedTable(
             table,
-            legs=self._legs,
+            legs=len(self._params.robot.legs),
             cells=cells_sha256(self._params),
             rate=self._numbers.rate,
             version=self._born,
