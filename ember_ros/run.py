@@ -26,7 +26,7 @@ from ember_ros.bag.recording import Recording
 from ember_ros.bag.scribe import Scribe
 from ember_ros.bag.storage import BagOptions, make_folder, seal
 from ember_ros.errors import ParameterError, StoppedError, no_ros
-from ember_ros.params import params_sha256
+from ember_ros.params import as_dict, params_sha256
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import (
     BODY,
@@ -252,6 +252,7 @@ def _run(
         **record.measured,
         "complete": len(record.traces) == ticks,
         "table_sha256": load_table(out / TABLE, plan.params)[0].sha256(),
+        "parts": as_dict(plan.params)["parts"],
         "params_sha256": params_sha256(plan.params),
         "versions": versions(),
         "provenance": where,

@@ -13,8 +13,10 @@ from ember_ros.experiments.studies import (
     direct,
     fig5,
     frontier,
+    hexapod,
     learners,
     regime,
+    seam,
     senses,
     sensitivity,
     sharing,
@@ -51,6 +53,8 @@ STUDIES: dict[str, Study] = {
         frontier,
         senses,
         sensitivity,
+        hexapod,
+        seam,
     )
 }
 

@@ -56,6 +56,7 @@ DECIDES = (
     *("ember_ros.experiments.central", "ember_ros.experiments.trial", "ember_ros.report.recorder"),
     *("cpg_node.cpg", "leg_node.assembly", "leg_node.discretizer", "leg_node.gait"),
     *("leg_node.learner", "leg_node.module", "leg_node.policy", "leg_node.reward"),
+    "leg_node.sarsa",
     *("leg_node.shared", "leg_node.table", "leg_node.value"),
     *(
         "sim_node.bodies",
