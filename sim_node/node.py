@@ -110,7 +110,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
         self._since = time.monotonic()  # when the present tick was published, or held
         self._throttle = Throttle(lambda text: self.get_logger().warning(text))
 
-        self._clock = topics.CLOCK.publish(self)
+        self._clock_publisher = topics.CLOCK.publish(self)
         self._senses = [wire.SenseWire(leg, self._tick_ns) for leg in self.legs]
         self._joints = [topics.joint_states(leg).publish(self) for leg in self.legs]
         self._contacts = [topics.contact(leg).publish(self) for leg in self.legs]
@@ -233,7 +233,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
             joints_data, contact_data = senses.pack(sense)
             joints.publish(joints_data)
             contact.publish(contact_data)
-        self._clock.publish(wire.pack_clock(self._tick * self._tick_ns))
+        self._clock_publisher.publish(wire.pack_clock(self._tick * self._tick_ns))
         self._body.publish(self._tick, self.world.body())
         if self._tick % self._ticks == 0:
             self._diagnose()
