@@ -17,11 +17,15 @@ setup(
     maintainer="ember_ros maintainers",
     maintainer_email="ember_ros@example.org",
     python_requires=">=3.10",
-    packages=find_packages(include=["ember_ros*", "sim_node*", "leg_node*", "cpg_node*"]),
+    packages=[
+        *find_packages(include=["ember_ros*", "sim_node*", "leg_node*", "cpg_node*"]),
+        "ember_ros.data",
+    ],
+    package_dir={"ember_ros.data": "bags"},
     # Only what is named: launch files and wrappers go to share/ and lib/; parameter files are read
     # by `ember` from the package, and by `ros2 run` from share/; data/ by both from the package.
     include_package_data=False,
-    package_data={"ember_ros": ["config/*.yaml", "data/*", "data/walk/*"]},
+    package_data={"ember_ros": ["config/*.yaml"], "ember_ros.data": ["*", "walk/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["ember_ros/resource/ember_ros"]),
         ("share/ember_ros", ["package.xml"]),

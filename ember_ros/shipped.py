@@ -1,10 +1,15 @@
-"""A trained table and a recorded walk that come with the package, found by name. Pure."""
+"""A trained table and a recorded walk that come with the package, found by name. Pure.
+
+They lie in ``bags/`` of the repository; an installation ships that folder as ``ember_ros/data``.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-DATA = Path(__file__).parent / "data"
+_SHIPPED = Path(__file__).parent / "data"
+DATA = _SHIPPED if _SHIPPED.is_dir() else Path(__file__).parents[1] / "bags"
+"""The folder of both: of an installation, or of a checkout or an editable install."""
 TABLE, BAG = "trained", "walk"
 """Their names; README.md beside them says which commands make them."""
 

@@ -112,7 +112,7 @@ def files_below(folder: Path) -> Iterator[Path]:
 
 
 def in_site_packages(pyproject: dict[str, Any]) -> Iterator[Path]:
-    """Yield the files that go where Python imports from, in both kinds of installation."""
+    """Yield the files of packages that go where Python imports from, in both installations."""
     elsewhere = (LAUNCH, WRAPPERS.parent)
     for name in top_packages(pyproject):
         for path in files_below(ROOT / name):
@@ -170,7 +170,20 @@ def test_packages_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> 
     """Every module that pip installs lies in a package that colcon installs, and no other does."""
     folders = {path.parent for path in in_site_packages(pyproject) if path.suffix == ".py"}
     dotted = {".".join(folder.relative_to(ROOT).parts) for folder in folders}
-    assert set(setup_py["packages"]) == dotted
+    assert set(setup_py["packages"]) == dotted | {"ember_ros.data"}
+
+
+def test_the_folder_of_the_bag_is_shipped_beside_the_modules(
+    pyproject: dict[str, Any], setup_py: dict[str, Any]
+) -> None:
+    """Both ways of installing put all of ``bags/`` where ``ember_ros.shipped`` looks first."""
+    wheel = pyproject["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert wheel["force-include"] == {"bags": "ember_ros/data"}
+    assert setup_py["package_dir"] == {"ember_ros.data": "bags"}
+    named = setup_py["package_data"]["ember_ros.data"]
+    files = [path.relative_to(ROOT / "bags") for path in files_below(ROOT / "bags")]
+    assert {Path("README.md"), Path("trained.npz"), Path("walk/metadata.yaml")} <= set(files)
+    assert [str(file) for file in files if not any(map(file.match, named))] == []
 
 
 def test_package_data_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> None:
