@@ -6,16 +6,14 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 from ember_ros.params import Params
-from ember_ros.signals import LegCommand, LegSense
+from ember_ros.signals import Beat, LegCommand, LegSense
 from leg_node.assembly import empty_table
 from leg_node.discretizer import PaperDiscretizer
-from leg_node.gait import HipRamp
 from leg_node.reward import PaperReward
 from leg_node.table import Table
-from support.legs import LEGS
 
-Seen = tuple[float, Sequence[LegSense | None], Sequence[LegCommand | None]]
-"""A tick: its phase, and the senses and commands of all legs, of which none may be missing."""
+Seen = tuple[Beat, Sequence[LegSense | None], Sequence[LegCommand | None]]
+"""A tick: its beat, and the senses and commands of all legs, of which none may be missing."""
 
 
 def paid(rewarder: PaperReward, sense: LegSense, stance: bool) -> float:
@@ -30,18 +28,20 @@ def literally(runs: Iterable[Sequence[Seen]], params: Params) -> Table:
     """Return what four legs write into one table in these runs, tick by tick and leg by leg."""
     table, learning = empty_table(params), params.walk
     partition, rewarder = PaperDiscretizer(params), PaperReward(params)
-    gaits = [HipRamp(params.gait, leg) for leg in LEGS]
+    share = params.gait.stance_share
     speeds = params.leg.knee_speeds
     for run in runs:
-        for (phase, senses, commands), (next_phase, next_senses, _) in itertools.pairwise(run):
+        for (beat, senses, commands), (next_beat, next_senses, _) in itertools.pairwise(run):
             pairs = []
-            for gait, old, new, did in zip(gaits, senses, next_senses, commands, strict=True):
+            for offset, old, new, did in zip(
+                params.robot.offset, senses, next_senses, commands, strict=True
+            ):
                 assert old is not None
                 assert new is not None
                 assert did is not None
                 if new.restart:
                     continue
-                was, now = gait.stance(phase), gait.stance(next_phase)
+                was, now = ((each.phase + offset) % 1.0 < share for each in (beat, next_beat))
                 cell = partition.index(old, was) * len(speeds) + speeds.index(did.knee_speed)
                 best = max(table.row(partition.index(new, now)))
                 pairs.append((cell, paid(rewarder, new, was) + learning.gamma * best))
