@@ -788,7 +788,9 @@ def test_a_recording_says_what_happened(run_of_64: tuple[Path, Heard]) -> None:
         if stamp is not None:
             assert stamp.sec * 10**9 + stamp.nanosec == message.ns
         by_topic.setdefault(message.topic, []).append(content)
-    assert [each.data for each in by_topic["/cpg/phase"]] == heard.phases
+    for beat, said in zip(heard.phases, by_topic["/cpg/phase"], strict=True):
+        assert said.header.stamp.sec * 10**9 + said.header.stamp.nanosec == beat.tick * TICK_NS
+        assert (said.name, said.position.tolist()) == (["cpg"], [beat.phase])
     assert [each.data for each in by_topic["/falls"]] == [0, 1, 2, 3]
     positions = [each.pose.pose.position for each in by_topic["/odometry"]]
     assert [(at.x, at.y, at.z) for at in positions] == [body[:3] for body in heard.bodies]
@@ -820,10 +822,11 @@ def test_a_recording_is_read_as_the_run(run_of_64: tuple[Path, Heard]) -> None:
         ticks = list(bag.ticks())
         assert (bag.damages, bag.stale) == ([], 0)
     assert [tick.tick for tick in ticks] == list(range(64))
-    assert [tick.phase for tick in ticks] == heard.phases
+    assert [tick.beat for tick in ticks] == heard.phases
     assert [tick.senses for tick in ticks] == heard.senses
     assert [tick.commands for tick in ticks] == heard.commands
     assert [tick.body for tick in ticks] == heard.bodies
+    assert [tick.transitions for tick in ticks] == heard.transitions
 
 
 def crcs(folder: Path) -> dict[int, tuple[int, ...]]:

@@ -39,13 +39,12 @@ from ember_ros.bag.storage import (
 from ember_ros.bag.window import LATE, Window
 from ember_ros.errors import BagError
 from ember_ros.loop import Loop
-from ember_ros.params import Params, as_dict, params_sha256, replace
+from ember_ros.params import TRAINER_LEG, Params, as_dict, params_sha256, replace
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import BODY, Recorder, Row, load_record
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from leg_node.assembly import empty_table
 from leg_node.discretizer import PaperDiscretizer
-from leg_node.gait import HipRamp
 from leg_node.reward import PaperReward
 from sim_node.fake import FakeWorld
 from sim_node.worlds import legs_of
@@ -95,7 +94,7 @@ class Listener:
 
     def tick(
         self,
-        phase: Beat,
+        beat: Beat,
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
@@ -103,7 +102,7 @@ class Listener:
     ) -> None:
         """Keep one tick."""
         told = tuple(senses), tuple(commands), body, tuple(transitions)
-        self.heard.append(Tick(senses[0].tick, phase, *told))
+        self.heard.append(Tick(beat.tick, beat, *told))
 
 
 class Run(NamedTuple):
@@ -664,7 +663,7 @@ def test_every_tick_comes_back_with_all_its_bits(
     assert len(list(run.bag.glob(f"*{STORAGES[storage]}"))) == (3 if split_s else 1)
     hold_equal(read(run.bag), run.heard)
     with Bag(run.bag) as opened:
-        assert (opened.world, opened.legs) == (world, legs_of(world))
+        assert (opened.world, opened.legs) == (world, legs_of(world, PARAMS))
         assert opened.namespace == namespace
         assert opened.params == PARAMS
         assert opened.card is not None
@@ -736,7 +735,7 @@ def test_commands_that_nobody_gave_are_none(tmp_path: Path) -> None:
     table = empty_table(PARAMS)
     recording = Recording(writer, Card.of_plan(run.plan, table, {}), table)
     for tick, whole in zip(heard, run.heard, strict=True):
-        recording.tick(tick.phase, senses_of(whole), tick.commands, tick.body, tick.transitions)
+        recording.tick(tick.beat, senses_of(whole), tick.commands, tick.body, tick.transitions)
     recording.finish()
     writer.close()
     hold_equal(read(tmp_path / "again"), heard)
@@ -1384,19 +1383,11 @@ def test_one_message_of_another_time_ends_nothing(
 ) -> None:
     """What follows it is read as ever; only its own tick goes without it."""
     at = 70
-    moved = {
-        "/clock": wire.pack_clock(at * TICK_NS + seconds * 10**9),
-        "/cpg/phase": wire.pack_phase(at / TICKS + seconds / PARAMS.gait.period),
-    }
+    stamp = wire.pack_clock(at * TICK_NS + seconds * 10**9)
     spoilt = [
         raw
         if (raw.topic, raw.ns) != (topic, at * TICK_NS)
-        else raw._replace(
-            data=moved.get(
-                topic,
-                raw.data[:4] + wire.pack_clock(at * TICK_NS + seconds * 10**9)[4:] + raw.data[12:],
-            )
-        )
+        else raw._replace(data=stamp if topic == "/clock" else stamp + raw.data[12:])
         for raw in messages
     ]
     assert spoilt != messages
@@ -1429,13 +1420,13 @@ def test_lines_are_those_that_were_written_beside_the_run(tmp_path: Path, world:
     run = record(tmp_path / "bag", 5 * TICKS, world=world, falls_at=[20, 64, 65])
     with Bag(run.bag) as opened:
         _, rows = look.info(opened)
-    modules = [*legs_of(world), BODY]
+    modules = [*run.plan.legs, BODY]
     whole = 4 * len(modules)
     hold_rows_equal(rows[:whole], run.rows[:whole])
     last = run.heard[-1]
-    recorder = Recorder(PARAMS, legs_of(world))
+    recorder = Recorder(PARAMS, run.plan.legs)
     for tick in run.heard:
-        recorder.tick(tick.phase, senses_of(tick), tick.commands, tick.body, tick.transitions)
+        recorder.tick(tick.beat, senses_of(tick), tick.commands, tick.body, tick.transitions)
     ended = [each._replace(tick=each.tick + 1, restart=True) for each in senses_of(last)]
     recorder.finish(ended, last.body)
     hold_rows_equal(rows, recorder.rows)
@@ -1555,6 +1546,14 @@ def test_a_bag_without_a_tick_is_a_bag(tmp_path: Path) -> None:
 # -- as CSV --------------------------------------------------------------------------------------
 
 
+STANCE = int(PARAMS.gait.stance_share * TICKS)
+OFFSETS = {
+    leg: int(offset * TICKS)
+    for leg, offset in zip(PARAMS.robot.legs, PARAMS.robot.offset, strict=True)
+}
+"""Of each leg's phase, ticks."""
+
+
 def lines_of(file: Path) -> list[dict[str, str]]:
     """Return the lines of a CSV file."""
     with file.open(newline="") as lines:
@@ -1565,13 +1564,12 @@ def hold_line(line: dict[str, str], run: Run, tick: Tick, after: Tick | None, le
     """Hold that a line says what was heard, to the bit."""
     n = run.plan.legs.index(leg)
     sense, command = tick.senses[n], tick.commands[n]
-    gait = HipRamp(PARAMS.gait, leg)
-    stance = gait.stance(tick.phase)
-    paid = gait.rewarded_as_stance(tick.phase, PARAMS.reward.lead)
+    at = (tick.tick + (0 if leg == TRAINER_LEG else OFFSETS[leg])) % TICKS
+    stance = at < STANCE
+    paid = stance or TICKS - at <= PARAMS.reward.lead
     assert int(line["tick"]) == tick.tick
     assert float(line["time_s"]) == tick.tick * PARAMS.gait.tick_s
-    assert float(line["phase"]) == tick.phase
-    assert int(line["stance"]) == stance
+    assert float(line["phase"]) == tick.tick / TICKS
     for name in LegSense._fields[1:]:
         if sense is None:
             assert line[name] == ""
@@ -1581,16 +1579,21 @@ def hold_line(line: dict[str, str], run: Run, tick: Tick, after: Tick | None, le
     for name in LegCommand._fields[1:]:
         said = line[f"command_{name}"]
         assert said == "" if command is None else repr(float(said)) == repr(getattr(command, name))
+    if tick.transitions[n] is None:
+        assert line["stance"] == line["state"] == ""
+    else:
+        assert int(line["stance"]) == stance
+        if sense is not None:
+            assert line["state"] == str(PaperDiscretizer(PARAMS).index(sense, stance))
     speeds, rewarder = PARAMS.leg.knee_speeds, PaperReward(PARAMS)
     did = None if after is None else after.transitions[n]
     if after is None or did is None or not did.credited:
-        assert line["state"] == line["action"] == line["reward"] == ""
+        assert line["action"] == line["reward"] == line["td_error"] == ""
         assert {line[f"reward_{name}"] for name in rewarder.names} == {""}
     else:
-        if sense is not None:
-            assert line["state"] == str(PaperDiscretizer(PARAMS).index(sense, stance))
         if command is not None:
             assert line["action"] == str(speeds.index(command.knee_speed))
+        assert repr(float(line["td_error"])) == repr(did.td_error)
         then = after.senses[n]
         if then is not None:
             terms = dict.fromkeys(rewarder.names, 0.0) | rewarder.terms(then, paid)
@@ -1622,6 +1625,8 @@ def test_a_line_a_tick_and_leg(tmp_path: Path, world: str) -> None:
         for leg, line in zip(run.plan.legs, rest, strict=False):
             assert line["leg"] == leg
             hold_line(line, run, tick, after, leg)
+    errors = {line["td_error"] for line in lines}
+    assert len(errors) > len(run.heard)  # of what was learnt, and not one number for all
     with files[0].open(newline="") as file:
         cells = list(csv.reader(file))
     assert tuple(cells[0]) == Row._fields

@@ -90,7 +90,7 @@ def test_a_node_says_that_ros_is_not_here(node: str) -> None:
     assert line.startswith("error: ROS 2 is not here (No module named 'rclpy'): `pip install ")
 
 
-@pytest.mark.skipif(not ROS, reason="rclpy is missing")
+@pytest.mark.ros
 @pytest.mark.parametrize("node", NODES)
 def test_a_node_is_started_without_what_only_ember_needs(node: str) -> None:
     """``ember node`` itself asks for nothing that the node does not."""

@@ -526,7 +526,7 @@ def test_relearning_from_the_table_of_the_run_gives_its_table(
 def seen(bag: Path) -> list[Seen]:
     """Return what legs could see in a bag."""
     with Bag(bag) as opened:
-        return [(tick.phase, tick.senses, tick.commands) for tick in opened.ticks()]
+        return [(tick.beat, tick.senses, tick.commands) for tick in opened.ticks()]
 
 
 def test_relearning_with_other_numbers_is_what_would_have_been_learnt(runs: list[Made]) -> None:

@@ -23,7 +23,7 @@ from std_msgs.msg import Float64
 from ember_ros import calls, wire
 from ember_ros.errors import PushError, SignalError
 from ember_ros.params import TRAINER_LEG, Params, cells_sha256
-from ember_ros.signals import LegCommand, LegSense, Pair, Transition
+from ember_ros.signals import Beat, LegCommand, LegSense, Pair, Transition
 from leg_node.assembly import empty_table
 from leg_node.shared import Changes, Push, SharedTable
 from leg_node.table import Table
@@ -47,8 +47,10 @@ terms = st.dictionaries(
     numbers,
     max_size=8,
 ).map(lambda found: tuple(found.items()))
+phases = st.floats(min_value=0.0, max_value=2.0**53, exclude_max=True) | st.just(-0.0)
+indexes = st.integers(-1, 2**53)
 transitions = st.builds(
-    Transition, ticks, bits, st.integers(-1, 2**53), st.integers(-1, 2**53), terms
+    Transition, ticks, indexes, bits, indexes, terms, indexes, bits, td_error=numbers
 )
 int64 = st.integers(-(2**63), 2**63 - 1)
 pushes = st.builds(
@@ -70,6 +72,11 @@ def exactly(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(map(exactly, value))
     return type(value), value
+
+
+def bare_phase(phase: float) -> bytes:
+    """Return a std_msgs/Float64, as the phase travelled before it had a stamp."""
+    return wire.CDR + struct.pack("<d", phase)
 
 
 def read_sense(leg: str, joints: bytes, contact: bytes) -> LegSense:
@@ -138,8 +145,10 @@ def test_a_transition_survives_bit_for_bit(leg: str, said: list[Transition]) -> 
         data = writer.pack(did)
         assert exactly(tuple(reader.read(data))) == exactly(tuple(did))
         message = deserialize_message(data, JointState)
-        assert message.name == ["stance", "state", "action", *(name for name, _ in did.terms)]
-        assert exactly(tuple(message.position[3:])) == exactly(tuple(v for _, v in did.terms))
+        assert tuple(message.name) == (*wire.TRANSITION, *(name for name, _ in did.terms))
+        said_first = [getattr(did, name) for name in wire.TRANSITION]
+        numbers = [float(value) for value in (*said_first, *(v for _, v in did.terms))]
+        assert exactly(tuple(message.position)) == exactly(tuple(numbers))
         assert not message.velocity
         assert not message.effort
 
@@ -178,17 +187,31 @@ def test_the_extremes_of_doubles_survive() -> None:
     ) == exactly(most)
 
 
+@given(ticks, phases)
+def test_a_beat_survives_bit_for_bit(tick: int, phase: float) -> None:
+    """Any phase at any tick: the stamp and the phase are said apart; rclpy reads the same."""
+    packed, beat = wire.BeatWire(TICK_NS), Beat(tick, phase)
+    data = packed.pack(beat)
+    assert exactly(packed.read(data)) == exactly(beat)
+    message = deserialize_message(data, JointState)
+    assert message.name == ["cpg"]
+    assert exactly(tuple(message.position)) == exactly((phase,))
+    assert not message.velocity
+    assert not message.effort
+    stamp = message.header.stamp
+    assert stamp.sec * 10**9 + stamp.nanosec == tick * TICK_NS
+    assert exactly(packed.read(serialize_message(message))) == exactly(beat)
+
+
 @given(st.integers(0, 2**53 - 1), st.sampled_from([4, 32, 1024]))
-def test_a_phase_names_its_tick_exactly(tick: int, per_cycle: int) -> None:
-    """A phase survives bit for bit, and the tick it stands for comes out of it."""
+def test_a_phase_without_a_stamp_names_its_tick_exactly(tick: int, per_cycle: int) -> None:
+    """Of older bags: a phase survives bit for bit, and the tick it stands for comes out of it."""
     phase = tick / per_cycle
-    data = wire.pack_phase(phase)
+    data = bare_phase(phase)
     assert deserialize_message(data, Float64).data == phase
-    assert wire.read_phase(data, per_cycle, "cpg/phase") == (tick, phase)
-    assert wire.read_phase(serialize_message(Float64(data=phase)), per_cycle, "cpg/phase") == (
-        tick,
-        phase,
-    )
+    for each in (data, serialize_message(Float64(data=phase))):
+        read = wire.read_bare_phase(each, per_cycle, "cpg/phase")
+        assert exactly(read) == exactly(Beat(tick, phase))
 
 
 @given(st.integers(0, 2**31 * 10**9 - 1))
@@ -273,6 +296,19 @@ COMMAND_BAD = [
 ]
 
 
+BEAT_BAD = [
+    (setting("name", ["cgp"]), r"names \['cgp'\]"),
+    (setting("name", ["cpg", "cpg"]), r"names \['cpg', 'cpg'\]"),
+    (setting("name", []), r"names \[\]"),
+    (setting("position", []), "0 numbers in position"),
+    (setting("position", [0.5, 0.5]), "2 numbers in position; 1, one a name"),
+    (stamped(0, TICK_NS - 1), "stamp 15624999 ns .*same gait.period"),
+    (stamped(-1, 0), "stamp -1000000000 ns"),
+    *[(putting("position", 0, x), "not finite") for x in (math.nan, math.inf, -math.inf)],
+    *[(putting("position", 0, x), "is no phase; 0 or more") for x in (-1.0, -TINY, 2.0**53)],
+]
+
+
 def turned_round(message: JointState) -> None:
     """Name the joints the other way round, as another driver may."""
     message.name = message.name[::-1]
@@ -312,6 +348,8 @@ def test_joints_are_found_by_name(change: Change) -> None:
     assert repr(senses.sense(tick, first, second)) == repr(sense)
     command = LegCommand(3, 1.0, 2.0, 3.0, 4.0)
     assert wired.read(changed(wired.pack(command), change)) == command
+    beats = wire.BeatWire(TICK_NS)
+    assert beats.read(changed(beats.pack(Beat(3, 1.5)), change)) == Beat(3, 1.5)
 
 
 def test_what_is_not_in_use_may_be_anything() -> None:
@@ -346,18 +384,37 @@ def test_malformed_commands_are_refused(change: Change, names: str) -> None:
         wired.read(changed(wired.pack(LegCommand(3, 1.0, 2.0, 3.0, 4.0)), change))
 
 
-PAID = Transition(3, True, 70, 8, (("height", 0.5), ("slip", -0.25)))
+@pytest.mark.parametrize(("change", "names"), BEAT_BAD)
+def test_malformed_beats_are_refused(change: Change, names: str) -> None:
+    """The error of a bad ``cpg/phase`` names the topic and what is wrong; a good one reads."""
+    wired = wire.BeatWire(TICK_NS)
+    good = wired.pack(Beat(3, 0.5))
+    with pytest.raises(SignalError, match=f"^cpg/phase: .*{names}"):
+        wired.read(changed(good, change))
+    assert wired.read(good) == Beat(3, 0.5)
+
+
+def test_a_phase_without_a_stamp_is_no_beat() -> None:
+    """What nodes of before the stamp say is refused in words, and not read as something else."""
+    for data in (bare_phase(0.5), serialize_message(Float64(data=0.5))):
+        with pytest.raises(SignalError, match=r"^cpg/phase: 12 bytes are no JointState"):
+            wire.BeatWire(TICK_NS).read(data)
+
+
+PAID = Transition(3, 70, True, 8, (("height", 0.5), ("slip", -0.25)), 71, False, td_error=-0.125)
 
 
 @pytest.mark.parametrize(
     ("change", "names"),
     [
-        (setting("name", ["state", "stance", "action", "a", "b"]), "names"),
-        (setting("name", ["stance", "state"]), "names"),
+        (setting("name", ["stance", *wire.TRANSITION[2:], "a", "b"]), "names"),
+        (setting("name", list(wire.TRANSITION[:2])), "names"),
+        (setting("name", ["stance", "state", "action", "height", "slip"]), "names .*'td_error'"),
         (setting("position", [0.0]), "1 numbers in position"),
-        (putting("position", 0, 2.0), "stance 2"),
-        (putting("position", 1, 0.5), "state 0.5"),
-        (putting("position", 3, math.nan), "position"),
+        *[(putting("position", n, 0.5), r"state, action, next_state \(.*0\.5") for n in (0, 2, 3)],
+        *[(putting("position", n, -2.0), r"state, action, next_state \(.*-2") for n in (0, 2, 3)],
+        *[(putting("position", n, 2.0), r"stance, next_stance \(.*2\.0") for n in (1, 4)],
+        *[(putting("position", n, math.nan), "position") for n in (0, 5, 6, 7)],
     ],
 )
 def test_malformed_transitions_are_refused(change: Change, names: str) -> None:
@@ -408,11 +465,11 @@ def test_our_own_layout_does_not_let_bad_numbers_pass(
 @pytest.mark.parametrize(
     "phase", [math.nan, math.inf, -math.inf, -1.0, -TINY, TINY, 0.01, 1 / 64, 2.0**60]
 )
-def test_what_is_no_phase_is_refused(phase: float) -> None:
-    """Not finite, negative, between ticks, or too large to name a tick."""
-    for data in (wire.pack_phase(phase), serialize_message(Float64(data=phase))):
+def test_what_names_no_tick_is_no_phase_without_a_stamp(phase: float) -> None:
+    """Of older bags: not finite, negative, between ticks, or too large to name a tick."""
+    for data in (bare_phase(phase), serialize_message(Float64(data=phase))):
         with pytest.raises(SignalError, match=r"^cpg/phase: .* is no phase"):
-            wire.read_phase(data, TICKS, "cpg/phase")
+            wire.read_bare_phase(data, TICKS, "cpg/phase")
 
 
 def test_a_clock_before_the_start_is_refused() -> None:
@@ -429,13 +486,15 @@ def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
         senses_wire.read_joints,
         senses_wire.read_contact,
         commands_wire.read,
+        wire.BeatWire(TICK_NS).read,
+        wire.TransitionWire("leg", TICK_NS).read,
     ]
     for reader in readers:  # random bytes never carry the names
         with pytest.raises(SignalError):
             reader(data)
     if len(data) < 12:
         with pytest.raises(SignalError, match="bytes are no Float64"):
-            wire.read_phase(data, TICKS, "cpg/phase")
+            wire.read_bare_phase(data, TICKS, "cpg/phase")
         with pytest.raises(SignalError, match="bytes are no Clock"):
             wire.read_clock(data, "clock")
 
@@ -524,6 +583,7 @@ def test_an_empty_push_is_no_push() -> None:
         (GOOD._replace(cells_sha256="0" * 64), "cells"),
         (GOOD._replace(cells_sha256=""), "cells"),
         (GOOD._replace(leg=-1), "leg -1"),
+        (GOOD._replace(leg=4), "leg 4"),
         (GOOD._replace(epoch=-1), "epoch -1"),
         (GOOD._replace(run=""), "run ''"),
         (GOOD._replace(pairs=(Pair(1, -1, 0.0),)), "cell -1 is not in"),
@@ -538,7 +598,7 @@ def test_a_push_that_says_nonsense_is_refused_whole(bad: Push, names: str) -> No
     """Values that fit their types and mean nothing are refused; nothing of the push is taken."""
     params = Params()
     table = empty_table(params)
-    shared = SharedTable(table, cells=cells_sha256(params), rate=Params().walk.rate)
+    shared = SharedTable(table, legs=4, cells=cells_sha256(params), rate=Params().walk.rate)
     before = table.sha256()
     with pytest.raises(PushError, match=names):
         shared.push(calls.read_push(calls.write_push(bad)))
@@ -579,7 +639,7 @@ def test_a_pull_of_the_whole_table_is_the_table() -> None:
     for cell in range(15):
         table.put(cell, -cell / 7, cell)
     table.put(3, -0.0, 1)
-    shared = SharedTable(table, cells="", rate=Params().walk.rate)
+    shared = SharedTable(table, legs=4, cells="", rate=Params().walk.rate)
     request = GetParameters.Request(names=["about", "visits", "values", "cells", "version"])
     since, upto, wanted = calls.read_pull(request)
     assert (since, upto, wanted) == (None, None, request.names)
@@ -617,7 +677,7 @@ def test_an_empty_answer_to_a_pull_is_a_refusal() -> None:
 
 
 def test_signals_have_no_field_that_wire_forgets() -> None:
-    """All fields of a sense and of a command differ in what they do to the bytes."""
+    """Every field of every signal differs in what it does to the bytes."""
     sense, command = EXTREME, LegCommand(3, 1.0, 2.0, 3.0, 4.0)
     senses_wire, commands_wire = wire.SenseWire("leg", TICK_NS), wire.CommandWire("leg", TICK_NS)
     packed = {senses_wire.pack(sense)}
@@ -628,6 +688,15 @@ def test_signals_have_no_field_that_wire_forgets() -> None:
     for field in command._fields:
         orders.add(commands_wire.pack(with_one(command, field, getattr(command, field) + 1)))
     assert len(orders) == 1 + len(command._fields)
+    beat, beats_wire = Beat(3, 0.5), wire.BeatWire(TICK_NS)
+    beats = {beats_wire.pack(each) for each in (beat, Beat(4, 0.5), Beat(3, 1.5))}
+    assert len(beats) == 1 + len(Beat._fields)
+    paid_wire = wire.TransitionWire("leg", TICK_NS)
+    other = Transition(4, 71, False, 7, (("height", 0.5), ("slip", 0.25)), 72, True, td_error=0.5)
+    paid = {paid_wire.pack(PAID)}
+    for field in PAID._fields:
+        paid.add(paid_wire.pack(with_one(PAID, field, getattr(other, field))))
+    assert len(paid) == 1 + len(PAID._fields)
 
 
 def test_cells_that_mean_something_else_have_another_sha256() -> None:
