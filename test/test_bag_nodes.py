@@ -454,12 +454,11 @@ def test_one_message_of_another_time_ends_no_recording(
     voice = Voice(ros, recorder, told(walked))
     said = voice.say(range(60))
     until_heard(ros, recorder, 59)
-    ns, params = 59 * TICK_NS + seconds * 10**9, plan().params
+    ns = 59 * TICK_NS + seconds * 10**9
     voice.publishers["/clock"].publish(wire.pack_clock(ns))
-    voice.publishers["/cpg/phase"].publish(wire.pack_phase(ns / 1e9 / params.gait.period))
-    data = next(raw.data for raw in reversed(said) if raw.topic == "/rear_left/command")
-    stamp = wire.pack_clock(ns)[4:12]
-    voice.publishers["/rear_left/command"].publish(data[:4] + stamp + data[12:])
+    for topic in ("/cpg/phase", "/rear_left/command"):
+        data = next(raw.data for raw in reversed(said) if raw.topic == topic)
+        voice.publishers[topic].publish(wire.pack_clock(ns) + data[12:])
     said += voice.say(range(60, ALL))
     until_heard(ros, recorder, ALL - 1)
     assert not recorder.done

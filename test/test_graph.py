@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
+import struct
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
@@ -20,7 +21,7 @@ from ember_ros.errors import EmberError
 from ember_ros.graph import Graph
 from ember_ros.params import Params, cells_sha256
 from ember_ros.plan import Plan
-from ember_ros.signals import LegCommand, LegSense, Pair
+from ember_ros.signals import Beat, LegCommand, LegSense, Pair
 from leg_node.assembly import empty_table
 from leg_node.shared import LocalCopy, Push, SharedTable
 from leg_node.table_file import save_table
@@ -278,6 +279,11 @@ class Stranger:
         return self.commands.pack(LegCommand(tick, 5.0, -5.0, 1.0, 1.0)._replace(**changes))
 
     @staticmethod
+    def beat(tick: int, *, tick_ns: int = TICK_NS, **changes: Any) -> bytes:
+        """Return a ``cpg/phase`` of a tick."""
+        return wire.BeatWire(tick_ns).pack(Beat(tick, tick / TICKS)._replace(**changes))
+
+    @staticmethod
     def _sense(tick: int) -> LegSense:
         return LegSense(tick, 0.3, 0.3, 1.0, 1.0, 9.0, 9.0, 0.1, 0.001, False, True, False)
 
@@ -289,6 +295,8 @@ JOINTS, CONTACT, COMMAND = (
 PHASE = topics.PHASE.name
 HEARERS_OF_PHASE = (*LEG_NODES, *SIM)
 NAN = float("nan")
+BARE_PHASE = wire.CDR + struct.pack("<d", 0.5)
+"""What a CPG of before the stamp says."""
 SAYS: dict[str, tuple[tuple[str, ...], str, Callable[[Stranger], bytes]]] = {
     "joints not finite": (LEG, JOINTS, lambda s: s.joints(s.tick, knee=NAN)),
     "joints of another leg's names": (LEG, JOINTS, lambda s: s.contact(s.tick)),
@@ -306,11 +314,13 @@ SAYS: dict[str, tuple[tuple[str, ...], str, Callable[[Stranger], bytes]]] = {
     "command that is no message": (SIM, COMMAND, lambda s: b""),
     "command of the past": (SIM, COMMAND, lambda s: s.command(s.tick - 1)),
     "command of the future": (SIM, COMMAND, lambda s: s.command(s.tick + 1000)),
-    "phase not finite": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase(NAN)),
-    "phase under 0": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase(-1.0)),
-    "phase between ticks": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase(0.3)),
-    "phase of the past": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase((s.tick - 2) / 32)),
-    "phase of the future": (SIM, PHASE, lambda s: wire.pack_phase(s.tick + 1000.0)),
+    "phase not finite": (HEARERS_OF_PHASE, PHASE, lambda s: s.beat(s.tick, phase=NAN)),
+    "phase under 0": (HEARERS_OF_PHASE, PHASE, lambda s: s.beat(s.tick, phase=-1.0)),
+    "phase without a stamp": (HEARERS_OF_PHASE, PHASE, lambda s: BARE_PHASE),
+    "phase of another oscillator": (HEARERS_OF_PHASE, PHASE, lambda s: s.joints(s.tick)),
+    "phase between ticks": (HEARERS_OF_PHASE, PHASE, lambda s: s.beat(7, tick_ns=TICK_NS - 1)),
+    "phase of the past": (HEARERS_OF_PHASE, PHASE, lambda s: s.beat(s.tick - 2)),
+    "phase of the future": (SIM, PHASE, lambda s: s.beat(s.tick + 1000)),
 }  # fmt: skip
 
 
@@ -374,7 +384,7 @@ def test_what_a_leg_hears_of_the_future_is_never_used(
     def say(stranger: Stranger) -> bool:
         tick = stranger.tick + ahead + stranger.turn % 50 * (ahead > 1)
         if source == "phase":
-            stranger.say(PHASE, wire.pack_phase(tick / 32))
+            stranger.say(PHASE, stranger.beat(tick))
         elif source == "joints":
             stranger.say(JOINTS, stranger.joints(tick))
         else:
@@ -397,7 +407,7 @@ def test_old_messages_that_agree_by_chance_do_not_begin_time_anew(
             return False
         stranger.say(
             (JOINTS, CONTACT, PHASE)[which],
-            (stranger.joints(3), stranger.contact(3), wire.pack_phase(3 / 32))[which],
+            (stranger.joints(3), stranger.contact(3), stranger.beat(3))[which],
         )
         return True
 
@@ -572,7 +582,7 @@ def test_a_new_world_begins_time_anew_and_legs_go_on(ros: Ros) -> None:
 def test_a_leg_in_a_new_life_lays_no_pair_twice() -> None:
     """After time began anew a pull takes away what is merged, not what was pushed first."""
     table, sha = empty_table(Params()), "cells"
-    shared = SharedTable(table, cells=sha, rate=Params().walk.rate)
+    shared = SharedTable(table, legs=4, cells=sha, rate=Params().walk.rate)
     copy = LocalCopy(
         empty_table(Params()), leg=0, run="one", cells=sha, rate=Params().walk.rate, sync_every=32
     )

@@ -26,10 +26,9 @@ from ember_ros.options import OPTIONS
 from ember_ros.params import SPECS, Params, cells_sha256
 from ember_ros.plan import Plan
 from ember_ros.run import SUMMARY
-from ember_ros.signals import LegSense, Pair
+from ember_ros.signals import Beat, LegSense, Pair
 from ember_ros.spinning import main_of
-from leg_node.assembly import empty_table
-from leg_node.module import LegModule
+from leg_node.assembly import empty_table, make_leg
 from leg_node.node import LegNode
 from leg_node.shared import Push, SharedTable
 from leg_node.table_file import load_table, save_table
@@ -127,7 +126,7 @@ def test_a_leg_has_its_own_topics_the_phase_and_the_table_alone(ros: Ros, leg: s
     assert live(ros, "subscriber", node) == {
         f"{leg}/joint_states": joint_state,
         f"{leg}/contact": joint_state,
-        "cpg/phase": "std_msgs/Float64",
+        "cpg/phase": "sensor_msgs/JointState",
     }
     assert live(ros, "publisher", node) == {
         f"{leg}/command": joint_state,
@@ -163,7 +162,7 @@ def test_a_leg_that_has_no_use_for_a_table_calls_nobody(ros: Ros) -> None:
 def test_a_cpg_node_hears_the_clock_and_says_the_phase(ros: Ros) -> None:
     """The CPG's only publisher is the phase, its only subscription the clock."""
     node = make(ros, CpgNode, "/robot_3")
-    assert live(ros, "publisher", node) == {"cpg/phase": "std_msgs/Float64"}
+    assert live(ros, "publisher", node) == {"cpg/phase": "sensor_msgs/JointState"}
     assert live(ros, "subscriber", node) == {"clock": "rosgraph_msgs/Clock"}
     assert agree(documented(CpgNode, "Publishes", []), live(ros, "publisher", node))
     assert agree(documented(CpgNode, "Subscribes", []), live(ros, "subscriber", node))
@@ -239,6 +238,11 @@ def test_a_node_has_the_parameters_its_docstring_lists(ros: Ros, kind: Any) -> N
             continue
         spec = SPECS[name]
         assert spec.doc in described.description
+        if spec.form:
+            assert f"({spec.form})" in described.description
+            many, one = ParameterType.PARAMETER_STRING_ARRAY, ParameterType.PARAMETER_STRING
+            assert described.type == (many if isinstance(spec.default, tuple) else one)
+            continue
         assert f"[{spec.unit}]" in described.description
         if isinstance(spec.default, tuple):
             assert described.type == ParameterType.PARAMETER_DOUBLE_ARRAY
@@ -357,6 +361,16 @@ WRONG: list[tuple[Any, dict[str, Any], str]] = [
     (SimNode, {"leg.knee_speeds": 1.0}, "leg.knee_speeds must be a list"),
     (SimNode, {"world": "moon"}, "world = 'moon' must be one of walker, trainer"),
     (SimNode, {"world": 1}, "world = 1 must be a str"),
+    (SimNode, {"world": "no.such.World"}, "world = 'no.such.World': there is no module 'no'"),
+    (SimNode, {"robot.legs": ["one", "two"]}, r"robot.segment has 4 entries; 2, one for each"),
+    (SimNode, {"robot.legs": "one"}, "robot.legs must be a list of names, not 'one'"),
+    (SimNode, {"robot.side": [1.0, 1.0, 1.0, 0.5]}, "robot.side = .* must be 1 or -1"),
+    (CpgNode, {"parts.cpg": "FixedPeriod"}, "parts.cpg must be a dotted path"),
+    (CpgNode, {"parts.cpg": "no.such.Cpg"}, "parts.cpg = 'no.such.Cpg': there is no module 'no'"),
+    (CpgNode, {"parts.cpg": "math.pi"}, "parts.cpg = 'math.pi' is no class"),
+    (LegNode, {"parts.reward": "leg_node.reward.Mine"}, "parts.reward = .*Mine' cannot be used"),
+    (LegNode, {"policy": "leg_node.policy.Mine"}, "policy = .*Mine' cannot be used"),
+    (TableNode, {"parts.discretizer": "math.inf"}, "parts.discretizer = 'math.inf' is no class"),
     (SimNode, {"mode": "fast"}, "mode = 'fast' must be one of lockstep, realtime"),
     (SimNode, {"cycles": -2}, "cycles = -2 must be -1 or more"),
     (SimNode, {"cycles": 1.5}, "cycles = 1.5 must be a int"),
@@ -368,6 +382,7 @@ WRONG: list[tuple[Any, dict[str, Any], str]] = [
     (SimNode, {"out": "/proc/ember"}, "/proc/ember"),
     (LegNode, {"leg": ""}, "no leg ''; .*front_left, front_right, rear_left, rear_right"),
     (LegNode, {"leg": "tail"}, "no leg 'tail'"),
+    (LegNode, {"leg": "middle_left"}, "no leg 'middle_left'; .*rear_right on the walker"),
     (LegNode, {"leg": 1}, "leg = 1 must be a str"),
     (LegNode, {"stage": "run"}, "stage = 'run' must be one of walk, train"),
     (LegNode, {"policy": "best"}, "policy = 'best' must be one of learned, scripted, random"),
@@ -431,16 +446,17 @@ def test_a_table_of_other_cells_is_refused(ros: Ros, tmp_path: Path) -> None:
 def test_a_cpg_says_the_phase_of_every_clock_once(ros: Ros) -> None:
     """It follows the clock, back to the start too; told twice or nonsense, it says nothing new."""
     node = make(ros, CpgNode)
-    phases = ros.messages(topics.PHASE)
+    phases = ros.messages(topics.PHASE, raw=True)
     clock = ros.publisher(topics.CLOCK)
-    said: list[float] = []
+    said: list[bytes] = []
     for tick in [0, 1, 2, 2, -1, 3, 32, 33, 0, 1]:
         clock.publish(wire.pack_clock(tick * TICK_NS))
-        if tick >= 0 and tick / 32 not in said[-1:]:
-            said.append(tick / 32)
+        beat = wire.BeatWire(TICK_NS).pack(Beat(max(tick, 0), tick / 32))
+        if tick >= 0 and beat not in said[-1:]:
+            said.append(beat)
         ros.spin_until(lambda: len(phases) >= len(said), f"phase of tick {tick}")
         ros.spin_once(0.0)
-    assert [message.data for message in phases] == said
+    assert phases == said
     assert declared(node)["gait.ticks"] == 32
 
 
@@ -459,9 +475,9 @@ def tape() -> Heard:
 
 def alone(leg: str, tape: Heard) -> tuple[list[bytes], str]:
     """Return the commands of a leg without ROS to which a tape is played, and its table's hash."""
-    module = LegModule(Params(), leg, seed=3, shared=False)
+    module = make_leg(Params(), leg, seed=3, shared=False)
     pack = wire.CommandWire(leg, TICK_NS).pack
-    commands = [pack(module.tick(senses[LEGS.index(leg)], phase)) for phase, senses, _ in tape.seen]
+    commands = [pack(module.tick(senses[LEGS.index(leg)], beat)) for beat, senses, _ in tape.seen]
     assert module.copy.table.visits.sum() == len(tape.seen) - 1
     return commands, module.copy.table.sha256()
 
@@ -482,9 +498,9 @@ def play(
     heard = (topics.joint_states(leg), topics.contact(leg), topics.PHASE)
     publishers = [ros.publisher(topic) for topic in heard]
     packer = wire.SenseWire(leg, TICK_NS)
-    for n, (phase, senses, _) in enumerate(tape.seen):
+    for n, (beat, senses, _) in enumerate(tape.seen):
         between(n)
-        data = [*packer.pack(senses[LEGS.index(leg)]), wire.pack_phase(phase)]
+        data = [*packer.pack(senses[LEGS.index(leg)]), wire.BeatWire(TICK_NS).pack(beat)]
         for which in order(n):
             publishers[which].publish(data[which])
             ros.spin_once(0.0)
@@ -536,7 +552,7 @@ def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: Heard) -> 
 def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: Heard) -> None:
     """While ``table/push`` is not served yet its first push would be lost: it waits for both."""
     shared = SharedTable(
-        empty_table(Params()), cells=cells_sha256(Params()), rate=Params().walk.rate
+        empty_table(Params()), legs=4, cells=cells_sha256(Params()), rate=Params().walk.rate
     )
     pulls: list[Any] = []
 
@@ -551,11 +567,11 @@ def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: 
     make(ros, LegNode, leg="rear_left")
     topics.PULL.serve(ros.node, pull)
     answers = ros.messages(topics.command("rear_left"), raw=True)
-    phase, senses, _ = tape.seen[0]
+    beat, senses, _ = tape.seen[0]
     joints, contact = wire.SenseWire("rear_left", TICK_NS).pack(senses[2])
     ros.publisher(topics.joint_states("rear_left")).publish(joints)
     ros.publisher(topics.contact("rear_left")).publish(contact)
-    ros.publisher(topics.PHASE).publish(wire.pack_phase(phase))
+    ros.publisher(topics.PHASE).publish(wire.BeatWire(TICK_NS).pack(beat))
     for _ in range(40):
         ros.spin_once()
     assert not pulls
