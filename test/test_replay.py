@@ -6,7 +6,7 @@ import functools
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -36,9 +36,6 @@ from support.needs import needs_bags, needs_bullet
 from support.plans import small_plan
 from support.ros import Ros
 
-if TYPE_CHECKING:
-    pass
-
 pytestmark = needs_bags
 
 TICKS = Params().gait.ticks
@@ -46,9 +43,6 @@ TICK_NS = Params().gait.tick_ns
 CYCLES = 6
 FALLS = {50, 51, 128}
 """The last one is where an epoch and, with ``smooth_every`` of 4, a smoothed reading begin."""
-
-
-"""A walker that explores, on a small table: its cells are visited often, and it is saved fast."""
 
 
 def plan(cycles: int = CYCLES, **options: Any) -> Plan:
@@ -416,11 +410,11 @@ MISSING: dict[str, tuple[list[tuple[str, int]], str]] = {
     ],
 )
 def test_a_record_with_a_hole_is_replayed_up_to_it(
-    tmp_path: Path, walked: Made, what: str, on_graph: str
+    tmp_path: Path, walked: Made, what: str, on: str
 ) -> None:
     """Where it ended is told, on loop and graph; up to there all is equal."""
     gone, says = MISSING[what]
-    done = again(rewrite(walked, tmp_path / "bag", without(*gone)), on_graph)
+    done = again(rewrite(walked, tmp_path / "bag", without(*gone)), on)
     assert done.missing == says
     assert done.difference is None
     assert (done.ticks, done.compared, done.unanswered) == (70, 280, {})
@@ -447,7 +441,7 @@ def test_a_missing_command_is_counted_and_is_no_difference(
     """The leg that replays says what was not heard: everything else is equal, the table too."""
     gone = [("rear_left/command", tick) for tick in (0, 31, 32, 70)]
     gone += [("front_right/command", walked.ticks - 1)]
-    done = again(rewrite(walked, tmp_path / "bag", without(*gone)), on_graph)
+    done = again(rewrite(walked, tmp_path / "bag", without(*gone)), on)
     assert done.unanswered == {"front_right": 1, "rear_left": 4}
     assert (done.difference, done.missing) == (None, None)
     assert (done.ticks, done.compared) == (walked.ticks, 4 * walked.ticks - 5)
@@ -669,7 +663,7 @@ def test_a_knee_speed_that_is_no_action_is_refused(tmp_path: Path, walked: Made)
     ("name", "value"),
     [
         ("gait.period", 0.25),
-        ("gait.offset_rear_left", 0.25),
+        ("robot.offset", [0.0, 0.5, 0.25, 0.0]),
         ("leg.load", 30.0),
         ("leg.knee_speeds", [-1.0, 0.0, 1.0]),
     ],
