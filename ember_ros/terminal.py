@@ -93,19 +93,24 @@ def typed() -> str:
     return command.encode("utf-8", "backslashreplace").decode()
 
 
-def grid(rows: Iterable[Sequence[Any]], columns: str = "ll", heads: Sequence[str] = ()) -> Table:
+def grid(
+    rows: Iterable[Sequence[Any]],
+    columns: str = "ll",
+    heads: Sequence[str] = (),
+    *,
+    whole: bool = False,
+) -> Table:
     """Return what is printed as rows of columns.
 
     Args:
         rows: a value a column each.
-        columns: a letter a column: ``l`` is of words, to the left; ``r`` of numbers, to the right,
-            which are never broken.
+        columns: a letter a column: ``l`` is of words, to the left; ``r`` of numbers, to the right.
         heads: what stands above the columns; nothing for none.
+        whole: whether a row is one line on a narrow terminal too, which then cuts values short.
     """
     table = Table(show_header=bool(heads), box=None, padding=(0, 2, 0, 0))
     for head, side in zip(heads or [""] * len(columns), columns, strict=True):
-        number = side == "r"
-        table.add_column(head, justify="right" if number else "left", no_wrap=number)
+        table.add_column(head, justify="right" if side == "r" else "left", no_wrap=whole)
     for row in rows:
         table.add_row(*map(str, row))
     return table

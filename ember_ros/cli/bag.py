@@ -39,7 +39,8 @@ def _info(bag: Path, namespace: str | None, cycles: bool, as_json: bool) -> None
     else:
         console.print(grid(look.told(found)))
         heads = ("cycle" if cycles else "cycles", *look.CYCLE_HEADS)
-        console.print(grid(look.cycles_told(rows, whole=cycles), "rl" + "r" * 6, heads))
+        lines = look.cycles_told(rows, whole=cycles)
+        console.print(grid(lines, "rl" + "r" * 6, heads, whole=True))
     if found["damaged"]:
         sys.exit(DIFFERENT)
 
