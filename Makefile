@@ -20,7 +20,7 @@ export ROS_LOG_DIR ?= $(CURDIR)/out/log
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help venv demo test test-fast lint bench fuzz clean
+.PHONY: help venv demo test test-fast lint matrix bench fuzz clean
 
 help: ## list the targets (the default)
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 12
@@ -54,6 +54,9 @@ lint: $(STAMP) ## ruff and mypy
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
+
+matrix: ## try every Python 3.10 to 3.13 that is here, with the lowest and the newest versions
+	test/matrix.sh
 
 bench: $(STAMP) ## measure the speed
 	$(VENV)/bin/ember bench

@@ -25,7 +25,13 @@ setup(
     # Only what is named: launch files and wrappers go to share/ and lib/; parameter files are read
     # by `ember` from the package, and by `ros2 run` from share/; data/ by both from the package.
     include_package_data=False,
-    package_data={"ember_ros": ["config/*.yaml"], "ember_ros.data": ["*", "walk/*"]},
+    package_data={
+        "ember_ros": ["py.typed", "config/*.yaml"],
+        "ember_ros.data": ["*", "walk/*"],
+        "sim_node": ["py.typed"],
+        "leg_node": ["py.typed"],
+        "cpg_node": ["py.typed"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["ember_ros/resource/ember_ros"]),
         ("share/ember_ros", ["package.xml"]),

@@ -8,6 +8,8 @@ import re
 import runpy
 import subprocess
 import sys
+import tarfile
+import zipfile
 from collections.abc import Iterator
 from fnmatch import fnmatch
 from pathlib import Path
@@ -16,6 +18,7 @@ from xml.etree import ElementTree
 
 import pytest
 import setuptools
+import yaml
 
 import ember_ros
 from ember_ros import entry_points
@@ -63,6 +66,23 @@ def setup_py(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     runpy.run_path("setup.py", run_name="__main__")
     (arguments,) = calls
     return arguments
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """What pip builds: the wheel and the sdist of this folder, and the wheel of that sdist."""
+    pytest.importorskip("hatchling", reason="hatchling is not installed")
+    folder = tmp_path_factory.mktemp("built")
+    build = [sys.executable, "-m", "hatchling", "build", "--directory"]
+    for kind in ("wheel", "sdist"):
+        subprocess.run([*build, folder / kind, "--target", kind], cwd=ROOT, check=True, timeout=60)
+    (wheel,), (sdist,) = (folder / "wheel").iterdir(), (folder / "sdist").iterdir()
+    with tarfile.open(sdist) as tar:
+        tar.extractall(folder, filter="data")
+    source = folder / sdist.name.removesuffix(".tar.gz")
+    subprocess.run([*build, folder / "again", "--target", "wheel"], cwd=source, check=True)
+    (again,) = (folder / "again").iterdir()
+    return {"wheel": wheel, "sdist": sdist, "again": again}
 
 
 @pytest.fixture
@@ -285,6 +305,50 @@ def test_imports_are_declared(pyproject: dict[str, Any], package_xml: ElementTre
     foreign = imported - sys.stdlib_module_names - set(top_packages(pyproject)) - OPTIONAL
     told = {element.text for element in package_xml.findall("exec_depend")}
     assert sorted({ROSDEP.get(name, name) for name in foreign} - told) == []
+
+
+def test_the_wheel_has_what_python_and_ros_look_for(
+    built: dict[str, Path], pyproject: dict[str, Any], package_xml: ElementTree.Element
+) -> None:
+    """Modules, types, parameters, table and bag; share/ and lib/ with its executables; licence."""
+    named = f"ember_ros-{text(package_xml, 'version')}"
+    with zipfile.ZipFile(built["wheel"]) as wheel:
+        found = {info.filename: info.external_attr >> 16 for info in wheel.infolist()}
+        told = wheel.read(f"{named}.dist-info/METADATA").decode()
+    prefix, own = f"{named}.data/data/", f"{named}.dist-info/"
+    modules = {path.relative_to(ROOT).as_posix() for path in in_site_packages(pyproject)}
+    assert {name for name in found if not name.startswith((prefix, own))} == modules
+    assert {f"{name}/py.typed" for name in top_packages(pyproject)} <= modules
+    assert {"ember_ros/data/trained.npz", "ember_ros/data/walk/metadata.yaml"} <= modules
+    assert {name.removeprefix(prefix) for name in found if name.startswith(prefix)} == set(
+        shipped_by_pip(pyproject)
+    )
+    assert all(found[f"{prefix}lib/ember_ros/{node}"] & 0o111 == 0o111 for node in NODES)
+    assert f"{own}licenses/LICENSE" in found
+    assert "Classifier: License :: OSI Approved :: Apache Software License" in told
+
+
+def test_the_sdist_builds_the_same_wheel(built: dict[str, Path]) -> None:
+    """Byte for byte: whoever packages from the sdist gives users what a checkout gives."""
+    assert built["again"].name == built["wheel"].name
+    assert built["again"].read_bytes() == built["wheel"].read_bytes()
+
+
+def test_the_sdist_can_be_tested(built: dict[str, Path]) -> None:
+    """Tests, documents and what colcon reads come along; nothing that was made by running does."""
+    with tarfile.open(built["sdist"]) as tar:
+        found = {name.partition("/")[2] for name in tar.getnames()}
+    wanted = ("LICENSE", "README.md", "CHANGELOG.rst", "CITATION.cff", "package.xml", "setup.py")
+    assert {*wanted, "docs/GRAPH.md", "test/conftest.py"} <= found
+    assert not [name for name in found if name.startswith((".venv", "out/", ".hypothesis"))]
+
+
+def test_versions_in_the_citation_agree(package_xml: ElementTree.Element) -> None:
+    """Whoever cites the software names the version that is here."""
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == text(package_xml, "version")
+    assert citation["license"] == text(package_xml, "license")
+    assert f"version = {{{citation['version']}}}" in (ROOT / "README.md").read_text("utf-8")
 
 
 def test_installed_prefix_is_complete(pyproject: dict[str, Any]) -> None:
