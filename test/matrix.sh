@@ -19,7 +19,7 @@ export ROS_LOG_DIR=$work/log ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCO
 
 # try PYTHON VERSION RESOLUTION: one environment, from installing to the last test.
 try() {
-  local env="$work/$2-$3" extras=ros,bags,science,test
+  local env="$work/$2-$3" code=0 extras=ros,bags,science,test
   if [ "$2" = 3.11 ] || [ -n "${SIM:-}" ]; then extras=$extras,sim; fi
   "$1" -m venv "$env"
   "$env/bin/python" -m pip install --quiet uv
@@ -43,8 +43,12 @@ try() {
     echo "  without PyBullet: nothing was trained (SIM=1 compiles it)"
   fi
   (cd "$work" && "$env/bin/ember" replay walk >/dev/null)
+  # pytest by its script and not by python -m, so that what is tried is what was installed. Old
+  # releases use what newer ones of theirs call deprecated.
   # shellcheck disable=SC2086
-  "$env/bin/python" -P -m pytest -p no:cacheprovider $PURE | tail -n 1 | sed 's/^/  /'
+  "$env/bin/pytest" -p no:cacheprovider -W ignore::DeprecationWarning $PURE >"$work/tests" || code=$?
+  grep -E '^FAILED|^ERROR|passed|failed' "$work/tests" | sed 's/^/  /'
+  return $code
 }
 
 # find VERSION: the first Python of that version that can make environments: of the PATH, or pyenv's.
