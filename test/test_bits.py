@@ -1,6 +1,6 @@
 """The same bits on every CPU: short runs in child processes that are told to be other machines.
 
-``python test/test_bits.py`` prints ``GOLDEN`` anew, for a change that is meant to change a run.
+``python test/test_bits.py`` prints ``GOLDEN`` and ``TRAINED`` anew, for a change that is meant to change a run.
 """
 
 from __future__ import annotations
@@ -15,6 +15,10 @@ from typing import Any
 
 import pytest
 
+from ember_ros.loop import Loop
+from ember_ros.params_file import load_params
+from ember_ros.plan import Plan
+from ember_ros.report.recorder import Recorder
 from ember_ros.shipped import BAG, DATA
 from support.needs import needs_bullet
 
@@ -77,6 +81,13 @@ GOLDEN: dict[str, dict[str, str]] = {
         "transitions": "af058d674ca17683cda7f5b1987b051e2487916b296042940c1b26187761d7e0",
         "table": "580703620873142eb657f38ddb24cb6972a9f9e22c81f3317db496ce2cd5738a",
     },
+}
+
+TRAINED = {
+    "senses": "4a52b8d5e272d394bda36c38adeca91acb94a47587aefc97e545f0af6a582001",
+    "commands": "149c54b6deb87e2078668e1dbcb23b7c59ddcd6fb3234c13c44fde938da573b1",
+    "transitions": "b4d5f1ea01d8dfa764c785a2be89de159ebb388c97f2d3e65c72447d505bb5cb",
+    "table": "8d674fbd9975f4f45262590588b89aae1d6e84bc390b67f0cc31b14714aed21a",
 }
 
 OLD_LIBRARY = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2_Usable,-FMA_Usable,-AVX2,-FMA,-AVX512F"}
@@ -149,5 +160,37 @@ def test_a_replay_needs_no_sine_of_the_c_library() -> None:
     assert done.stdout.split() == ["True", "1280", "True"]
 
 
+# -- learning ------------------------------------------------------------------------------------
+
+
+def trained(*, learning: bool = True) -> tuple[dict[str, str], list[float]]:
+    """Return the hashes of a training of plain in Bullet, and the reward of each of its cycles."""
+    plan = Plan("trainer", 300, seed=3, params=load_params("plain"), learning=learning)
+    loop, recorder = Loop(plan), Recorder(plan.params, plan.legs)
+    try:
+        for _ in range(plan.cycles * plan.params.gait.ticks):
+            loop.tick(recorder)
+        recorder.finish(loop.world.observe(), loop.world.body())
+        table, found = loop.finish(), recorder.summary()
+    finally:
+        loop.close()
+    kinds = ("senses", "commands", "transitions")
+    told = {kind: found[f"{kind}_sha256"] for kind in kinds} | {"table": table.sha256()}
+    return told, [row.reward for row in recorder.body_rows()]
+
+
+@pytest.mark.slow
+def test_a_leg_learns_in_bullet_and_does_so_bit_for_bit() -> None:
+    """300 cycles end with the bits that were written down, and from third to third earn more.
+
+    A leg that explores as much and learns nothing earns less in its last third.
+    """
+    told, rewards = trained()
+    assert told == (TRAINED if held() else trained()[0])
+    thirds = [sum(rewards[n : n + 100]) for n in (0, 100, 200)]
+    assert thirds[0] < thirds[1] < thirds[2]
+    assert sum(trained(learning=False)[1][200:]) < thirds[2]
+
+
 if __name__ == "__main__":
-    print(json.dumps(hashes(), indent=4))
+    print(json.dumps({"GOLDEN": hashes(), "TRAINED": trained()[0]}, indent=4))
