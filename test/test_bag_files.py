@@ -58,6 +58,7 @@ from leg_node.table import Table
 from sim_node.fake import FakeWorld
 from support.legs import LEGS
 from support.runs import Heard
+from support.waiting import DEADLINE_S
 
 PARAMS = Params()
 TICK_NS = PARAMS.gait.tick_ns
@@ -69,7 +70,6 @@ STRING = "std_msgs/msg/String"
 STRING_RIHS01 = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 """As ROS 2 Jazzy has it in ``share/std_msgs/msg/String.json``."""
 JAZZY: Any = get_typestore(Stores.ROS2_JAZZY)
-DEADLINE_S = 60.0
 """Wall time after which a condition is said not to come true. No test that passes waits for it."""
 INSTALL_S = 180.0
 """The same for npm and the network."""
@@ -1079,7 +1079,7 @@ def killed_at(folder: Path, ticks: int) -> int:
         process.kill()
         said += process.stdout.read()
         process.stdout.close()
-        code = process.wait()
+        code = process.wait(DEADLINE_S)
     assert code == -9
     return last(said)
 

@@ -839,7 +839,8 @@ PLANS = {
     "walker": plan(0),
     "walker, other numbers": plan(
         0, seed=11, policy="random", learning=False, walk__gamma=0.5, reward__slip=2.5,
-        walker__mass=4.0, physics__friction=0.8, robot__offset=(0.0, 0.5, 0.25, 0.0), leg__load=20.0,
+        walker__mass=4.0, physics__friction=0.8, robot__offset=(0.0, 0.5, 0.25, 0.0),
+        leg__load=20.0,
     ),
     "trainer": Plan("trainer", 0, seed=2, params=replace(Params(), {"trainer.tip_mass": 2.0})),
 }  # fmt: skip

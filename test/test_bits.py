@@ -1,28 +1,24 @@
 """The same bits on every CPU: short runs in child processes that are told to be other machines.
 
-``python test/test_bits.py`` prints ``GOLDEN`` and ``TRAINED`` anew, for a change that is meant to change a run.
+``python test/test_bits.py`` prints ``GOLDEN`` and ``TRAINED`` anew, for a change that is meant to
+change a run.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import platform
-import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from ember_ros.loop import Loop
 from ember_ros.params_file import load_params
 from ember_ros.plan import Plan
-from ember_ros.report.recorder import Recorder
 from ember_ros.shipped import BAG, DATA
+from support.command import child, environment
 from support.needs import needs_bullet
-
-ROOT = Path(__file__).resolve().parents[1]
+from support.runs import recorded
 
 pytestmark = needs_bullet
 
@@ -105,17 +101,12 @@ OTHERS: dict[str, dict[str, str]] = {
 warning, and goes on."""
 
 
-def hashes(**environment: str) -> dict[str, Any]:
+def hashes(**variables: str) -> dict[str, Any]:
     """Return the hashes of all runs in a process with these variables."""
     names = {name for other in (*OTHERS.values(), OLD_LIBRARY) for name in other}
-    clean = {name: value for name, value in os.environ.items() if name not in names}
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", RUNS],
-        env={**clean, **environment, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    clean = {name: value for name, value in environment().items() if name not in names}
+    done = child([sys.executable, "-W", "ignore", "-c", RUNS], env={**clean, **variables})
+    assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return found
 
@@ -150,13 +141,8 @@ def test_a_replay_needs_no_sine_of_the_c_library() -> None:
         "    done = replay(bag)\n"
         "print(done.equal, done.ticks, done.table.sha256() == done.recorded_sha256)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, **OLD_LIBRARY, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = child([sys.executable, "-c", code], env=environment(**OLD_LIBRARY))
+    assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["True", "1280", "True"]
 
 
@@ -166,14 +152,8 @@ def test_a_replay_needs_no_sine_of_the_c_library() -> None:
 def trained(*, learning: bool = True) -> tuple[dict[str, str], list[float]]:
     """Return the hashes of a training of plain in Bullet, and the reward of each of its cycles."""
     plan = Plan("trainer", 300, seed=3, params=load_params("plain"), learning=learning)
-    loop, recorder = Loop(plan), Recorder(plan.params, plan.legs)
-    try:
-        for _ in range(plan.cycles * plan.params.gait.ticks):
-            loop.tick(recorder)
-        recorder.finish(loop.world.observe(), loop.world.body())
-        table, found = loop.finish(), recorder.summary()
-    finally:
-        loop.close()
+    table, recorder = recorded(plan)
+    found = recorder.summary()
     kinds = ("senses", "commands", "transitions")
     told = {kind: found[f"{kind}_sha256"] for kind in kinds} | {"table": table.sha256()}
     return told, [row.reward for row in recorder.body_rows()]

@@ -20,7 +20,6 @@ import pytest
 import yaml
 
 from ember_ros import terminal
-from ember_ros.cli import main
 from ember_ros.cli.ember import COMMANDS
 from ember_ros.params import Params
 from ember_ros.params_file import dump_params, load_params
@@ -29,25 +28,18 @@ from ember_ros.run import EARLIER, SUMMARY, TABLE
 from ember_ros.seat import run_seat
 from ember_ros.spinning import Stop
 from leg_node.table_file import load_table
+from support.command import EMBER, child, ember, environment, nobody_reads, started
+from support.waiting import DEADLINE_S, until
 
 pytest.importorskip("pybullet", reason="every command here builds a world")
 
 Run = Callable[..., str]
-ROOT = Path(__file__).parents[1]
 
 SUMMARY_KEYS = {
     "command", "seed", "cycles", "falls", "first_fall", "distance_per_cycle_m", "roll_sd_rad",
     "pitch_sd_rad", "table_sha256", "commands_sha256", "senses_sha256", "wall_s", "ticks_per_s",
     "versions", "provenance", "planned_cycles",
 }  # fmt: skip
-
-
-def ember(*words: Any) -> int:
-    """Run the command in this process and return its exit code."""
-    with pytest.raises(SystemExit) as end:
-        main.main([str(word) for word in words], prog_name="ember")
-    assert isinstance(end.value.code, int)
-    return end.value.code
 
 
 @pytest.fixture
@@ -249,11 +241,11 @@ def test_a_path_that_standard_output_has_no_letters_for_is_spelt_out(tmp_path: P
     """A run that is whole does not end with a traceback for its name."""
     out = tmp_path / "\u00fcber \udce9"  # not even UTF-8
     done = subprocess.run(
-        [sys.executable, "-m", "ember_ros", "train", "--cycles", "1", "--out", out],
+        [*EMBER, "train", "--cycles", "1", "--out", out],
         capture_output=True,
-        env={**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONPATH": str(ROOT)},
+        env=environment(PYTHONIOENCODING="ascii"),
         check=False,
-        timeout=60.0,
+        timeout=DEADLINE_S,
     )
     assert (done.returncode, done.stderr) == (0, b"")
     assert b"\\xfcber \\udce9" in done.stdout
@@ -264,18 +256,9 @@ def test_a_path_that_standard_output_has_no_letters_for_is_spelt_out(tmp_path: P
 def test_who_hears_only_the_first_line_ends_nothing(tmp_path: Path) -> None:
     """``ember params | head -1``: no traceback."""
     for words in (("params", "--describe"), ("train", "--cycles", "1", "--out", tmp_path / "run")):
-        command = subprocess.Popen(
-            [sys.executable, "-m", "ember_ros", *words],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-        )
-        assert command.stdout is not None
-        command.stdout.close()
-        assert command.stderr is not None
-        with command.stderr as errors:
-            assert b"Traceback" not in errors.read()
-        command.wait(60.0)
+        with nobody_reads() as pipe:
+            done = child([*EMBER, *words], stdout=pipe)
+        assert "Traceback" not in done.stderr
     assert (tmp_path / "run" / SUMMARY).exists()
 
 
@@ -450,14 +433,16 @@ def test_a_bag_of_the_loop_has_the_namespace_too(run: Run) -> None:
 @pytest.mark.parametrize("way", ["loop", "graph", "processes"])
 def test_ctrl_c_saves_what_was_learnt(tmp_path: Path, way: str) -> None:
     """SIGINT in the middle: exit code 130, a whole table that holds what was learnt."""
-    command = [sys.executable, "-m", "ember_ros", "walk", "--cycles", "1000000", "--on", way]
-    with subprocess.Popen([*command, "--out", "o"], cwd=tmp_path, stdout=subprocess.PIPE) as child:
-        record = tmp_path / "o" / "cycles.csv"
-        while child.poll() is None and not (record.exists() and record.stat().st_size > 400):
-            pass
-        child.send_signal(signal.SIGINT)
-        output = child.communicate(timeout=60)[0].decode()
-    assert child.returncode == 130, output
+    command = [*EMBER, "walk", "--cycles", "1000000", "--on", way, "--out", "o"]
+    record = tmp_path / "o" / "cycles.csv"
+    with started(command, cwd=tmp_path, stdout=subprocess.PIPE) as walk:
+        until(
+            lambda: walk.poll() is not None or (record.exists() and record.stat().st_size > 400),
+            "it walks",
+        )
+        walk.send_signal(signal.SIGINT)
+        output = walk.communicate(timeout=DEADLINE_S)[0].decode()
+    assert walk.returncode == 130, output
     assert "what was learnt is in o/table.npz" in output
     summary = json.loads((tmp_path / "o" / SUMMARY).read_text())
     assert not summary["complete"]

@@ -10,7 +10,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ember_ros.cli import main
 from ember_ros.experiments import isotropy, lab, relearn, stats
 from ember_ros.experiments.central import CentralLoop
 from ember_ros.experiments.reproduction import DOCUMENT, RESULTS, STUDIES, document
@@ -54,11 +52,12 @@ from ember_ros.signals import LegCommand, LegSense
 from leg_node.discretizer import PaperDiscretizer
 from leg_node.table_file import load_table
 from sim_node.worlds import make_world
+from support.command import EMBER, ROOT, child, ember, started
+from support.waiting import DEADLINE_S, until
 
 pytest.importorskip("pybullet", reason="a trial needs a world")
 pytest.importorskip("scipy", reason="statistics need it")
 
-ROOT = Path(__file__).resolve().parents[1]
 SIZE = Size(seeds=2, train=3, walk=20)
 
 
@@ -136,7 +135,8 @@ def test_the_code_that_decides_is_all_that_runs(tmp_path: Path) -> None:
         "print('\\n'.join(sys.modules))\n"
     )
     command = [sys.executable, "-c", code, "trials"]
-    run = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    run = child(command, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
     house = {name for name in run.stdout.split() if name.split(".")[0] in ("ember_ros", *ROOMS)}
     idle = {"leg_node", "sim_node", "cpg_node", "ember_ros.experiments", "ember_ros.report"}
     # What is said of a trial, errors, two protocols, and a file's format: a table is held by its
@@ -238,20 +238,21 @@ def test_ctrl_c_stops_an_experiment_and_its_workers(
     tmp_path: Path, number: int, words: tuple[str, ...], says: str
 ) -> None:
     """The terminal, or its end, signals them all: 130, a line that says so, nobody left."""
-    command = [sys.executable, "-m", "ember_ros", "experiment", *words]
-    with subprocess.Popen(
+    command = [*EMBER, "experiment", *words]
+    with started(
         command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, start_new_session=True
-    ) as child:
-        while child.poll() is None and len(list(Path(f"/proc/{child.pid}/task").glob("*"))) < 3:
-            pass  # until its pool has begun
-        os.killpg(child.pid, number)
-        output, _ = child.communicate(timeout=120)
-    assert child.returncode == 130, output
+    ) as lead:
+        threads = Path(f"/proc/{lead.pid}/task")
+        until(
+            lambda: lead.poll() is not None or len(list(threads.glob("*"))) >= 3,
+            "its pool has begun",
+        )
+        os.killpg(lead.pid, number)
+        output, _ = lead.communicate(timeout=2 * DEADLINE_S)
+    assert lead.returncode == 130, output
     assert "Stopped" in output
     assert says in output
-    deadline = time.monotonic() + 60.0
-    while left := alive(child.pid):
-        assert time.monotonic() < deadline, f"left behind: {left}"
+    until(lambda: not alive(lead.pid), "nobody is left")
 
 
 # -- what the arms are made of -----------------------------------------------------------------
@@ -442,14 +443,6 @@ def test_a_measure_that_is_missing_is_not_left_out() -> None:
 
 
 # -- the commands and the document -------------------------------------------------------------
-
-
-def ember(*words: Any) -> int:
-    """Run the command in this process and return its exit code."""
-    with pytest.raises(SystemExit) as end:
-        main.main([str(word) for word in words], prog_name="ember")
-    assert isinstance(end.value.code, int)
-    return end.value.code
 
 
 SMOKE = ("--seeds", 1, "--cycles", 2, "--walk-cycles", 10)

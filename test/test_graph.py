@@ -27,9 +27,10 @@ from leg_node.shared import LocalCopy, Push, SharedTable
 from leg_node.table_file import save_table
 from support.legs import LEGS
 from support.plans import changed
-from support.robot import LEG_NODES, PATIENCE_S, Robot, level
+from support.robot import LEG_NODES, PATIENCE_S, Robot, level, spun
 from support.ros import Ros
 from support.runs import Bits
+from support.waiting import in_time
 
 CYCLES = 20
 TICKS = 32
@@ -57,14 +58,6 @@ PLANS = {
     "trainer": Plan("trainer", 2 * CYCLES, seed=5),
     "trainer, 16 ticks": Plan("trainer", 8, seed=6, params=changed(Params(), gait__ticks=16)),
 }
-
-
-def spun(graph: Graph) -> Graph:
-    """Run a graph to its end within a deadline."""
-    deadline = time.monotonic() + 60.0
-    graph.run(lambda: time.monotonic() < deadline)
-    assert graph.sim.done
-    return graph
 
 
 def refusals(nodes: dict[str, Any]) -> dict[str, int]:
@@ -129,9 +122,9 @@ def test_two_robots_in_two_namespaces_do_not_feel_each_other(
             )
             for name, plan in plans.items()
         }
-        deadline = time.monotonic() + 60.0
+        go_on = in_time()
         while not all(graph.sim.done for graph in graphs.values()):
-            assert time.monotonic() < deadline
+            go_on()
             for graph in graphs.values():
                 graph.spin_once(0.0)
         for name, graph in graphs.items():
@@ -158,10 +151,7 @@ def test_who_looks_on_changes_nothing(
                   for kind in (topics.joint_states, topics.contact, topics.command)),
             )
         }  # fmt: skip
-        deadline = time.monotonic() + 60.0
-        while not graph.sim.done and time.monotonic() < deadline:
-            graph.spin_once(0.001)
-            ros.spin_once(0.0)
+        ros.spin_until(lambda: graph.sim.done, "the last tick", graph.spin_once)
         graph.finish()
         assert by_graph(graph) == by_loop(walk())
         ros.spin_until(lambda: len(heard["rear_right/command"]) == CYCLES * TICKS, "all is heard")
@@ -337,15 +327,15 @@ def disturbed(
     """
     with closing(Graph(BRIEF, patience=PATIENCE_S, context=ros.context)) as graph:
         stranger = Stranger(ros, graph)
-        deadline = time.monotonic() + 20.0
+        go_on = in_time()
         events = 0
-        while not graph.sim.done and time.monotonic() < deadline:
+        while not graph.sim.done:
+            go_on()
             graph.spin_once(0.001)
             events += 1
             early, late = 3, BRIEF.cycles * TICKS - 4
             if events % 23 == 0 and early < stranger.tick < late and say(stranger):
                 stranger.turn += 1
-        assert graph.sim.done
         graph.finish()
         return by_graph(graph), stranger.turn, refusals(graph.nodes)
 
@@ -425,7 +415,9 @@ def test_a_malformed_push_during_a_run_changes_no_bit(
     with closing(Graph(BRIEF, patience=PATIENCE_S, context=ros.context)) as graph:
         push = ros.client(topics.PUSH)
         for n in range(4):
-            while graph.sim.world.observe()[0].tick < 50 * n:
+            go_on = in_time()
+            while graph.sim.tick < 50 * n:
+                go_on()
                 graph.spin_once(0.01)
             result = ros.call(push, calls.write_push(bad[n % 2]), graph.spin_once).result
             assert not result.successful

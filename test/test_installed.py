@@ -85,7 +85,7 @@ def ended(process: subprocess.Popen[str]) -> Ended:
         out, error = process.communicate(timeout=STOP_S)
     except subprocess.TimeoutExpired:
         process.kill()
-        process.communicate()
+        process.communicate(timeout=STOP_S)
         raise
     return Ended(process.returncode, out, error)
 
@@ -133,7 +133,7 @@ def test_nodes_walk_as_one_robot_and_stop_with_a_signal(
         for process in running.values():
             if process.poll() is None:
                 process.kill()
-            process.communicate()
+            process.communicate(timeout=STOP_S)
     for name, end in ends.items():
         assert end.code == 0, f"{name}: {end.error}"
         for word in ("Traceback", "KeyboardInterrupt", "Exception"):

@@ -9,7 +9,6 @@ import shutil
 import signal
 import sqlite3
 import struct
-import subprocess
 import sys
 import zlib
 from collections.abc import Callable, Iterator
@@ -32,8 +31,8 @@ from ember_ros.bag.reading import Bag
 from ember_ros.bag.repair import repair
 from ember_ros.bag.storage import INFORMATION, METADATA
 from ember_ros.errors import BagError, EmberError, SignalError, shown
+from support.command import child
 
-ROOT = Path(__file__).resolve().parents[1]
 MUTATE = Path(__file__).parent / "mutate.py"
 MUTANTS = 400
 DEADLINE_S = 300.0
@@ -45,8 +44,8 @@ DEADLINE_S = 300.0
 @pytest.mark.slow
 def test_no_mutant_harms_a_reader(tmp_path: Path) -> None:
     """Every mutant is read or refused in one line, in bounded time and memory; both happen."""
-    words = [sys.executable, str(MUTATE), "--count", str(MUTANTS), "--out", str(tmp_path)]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=DEADLINE_S)
+    words = [sys.executable, MUTATE, "--count", MUTANTS, "--out", tmp_path]
+    done = child(words, deadline_s=DEADLINE_S)
     assert done.returncode == 0, done.stderr[-3000:]
     rows = json.loads((tmp_path / "mutants.json").read_text())
     assert [row["reader"] for row in rows] == list(mutate.READERS)

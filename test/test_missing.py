@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from ember_ros.entry_points import NODES
-
-ROOT = Path(__file__).resolve().parents[1]
+from support.command import child, nobody_reads
 
 WALL = """
 import importlib.abc, runpy, sys
@@ -45,15 +43,7 @@ graph.close()
 
 def without(hidden: str, script: str, *args: str) -> subprocess.CompletedProcess[str]:
     """Run a script in a Python that lacks some libraries."""
-    return subprocess.run(
-        [sys.executable, "-c", script, hidden, *args],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        check=False,
-        timeout=60.0,
-    )
+    return child([sys.executable, "-c", script, hidden, *args])
 
 
 @pytest.mark.parametrize(
@@ -154,14 +144,9 @@ def test_nodes_walk_without_what_only_ember_needs() -> None:
 
 def test_a_command_whose_standard_streams_are_closed_runs(tmp_path: Path) -> None:
     """``ember train 2>&- <&-``: no file of its own takes their places."""
-    done = subprocess.run(
+    done = child(
         ["sh", "-c", 'exec "$0" -m ember_ros train --cycles 1 --out out 2>&- <&-', sys.executable],
-        stdout=subprocess.PIPE,
-        text=True,
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        check=False,
-        timeout=60.0,
     )
     assert done.returncode == 0
     assert "In out: table.npz" in done.stdout
@@ -172,11 +157,6 @@ def test_a_command_whose_standard_streams_are_closed_runs(tmp_path: Path) -> Non
 def test_the_help_of_a_node_may_be_cut_off() -> None:
     """``ember node leg_node --help | head -1``: no traceback."""
     command = [sys.executable, "-m", "ember_ros", "node", "leg_node", "--help"]
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
-    read, write = os.pipe()
-    os.close(read)
-    done = subprocess.run(
-        command, stdout=write, stderr=subprocess.PIPE, text=True, check=False, env=env, timeout=60.0
-    )
-    os.close(write)
+    with nobody_reads() as pipe:
+        done = child(command, stdout=pipe)
     assert done.stderr == ""

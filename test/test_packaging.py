@@ -23,13 +23,14 @@ import yaml
 import ember_ros
 from ember_ros import entry_points
 from ember_ros.entry_points import NODES
+from support.command import ROOT, started
+from support.waiting import DEADLINE_S
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ROOT / "ember_ros" / "launch"
 CONFIG = ROOT / "ember_ros" / "config"
 WRAPPERS = ROOT / "ember_ros" / "resource" / "lib"
@@ -265,10 +266,9 @@ def test_wrapper_runs_ember_of_its_prefix(node: str, linked: bool, tmp_path: Pat
     script.parent.mkdir()
     script.write_text('#!/bin/sh\necho "$$"\nprintf "%s\\n" "$@"\n')
     script.chmod(0o755)
-    process = subprocess.Popen(
-        [wrapper, "--ros-args", "-p", "out:=two words"], stdout=subprocess.PIPE, text=True
-    )
-    output, _ = process.communicate(timeout=10)
+    command = [wrapper, "--ros-args", "-p", "out:=two words"]
+    with started(command, stdout=subprocess.PIPE, text=True) as process:
+        output, _ = process.communicate(timeout=DEADLINE_S)
     args = ["node", node, "--ros-args", "-p", "out:=two words"]
     assert output.splitlines() == [str(process.pid), *args]
     assert process.returncode == 0

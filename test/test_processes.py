@@ -33,6 +33,7 @@ from support.legs import LEGS
 from support.robot import LEG_NODES, PATIENCE_S, level
 from support.ros import Ros
 from support.runs import Bits
+from support.waiting import in_time
 
 pytestmark = pytest.mark.slow
 
@@ -73,9 +74,11 @@ def test_processes_end_with_the_bits_of_the_loop(
     """Table, senses and commands are equal, bit for bit; nobody refuses anything or is late."""
     diagnostics = ros.messages(topics.DIAGNOSTICS, matched=False)
 
+    go_on = in_time()
+
     def look_on() -> bool:
         ros.spin_once(0.0)
-        return True
+        return go_on()
 
     with processes(plan, tmp_path, patience=PATIENCE_S) as running:
         running.wait(look_on)
@@ -103,7 +106,7 @@ def test_a_process_that_cannot_start_is_named_with_what_it_said(ros: Ros, tmp_pa
     running = Processes(walk(table=tmp_path / "none.npz"), tmp_path / "out")
     try:
         with pytest.raises(GraphError, match=r"table_node ended with code 2 .* there is no table"):
-            running.wait()
+            running.wait(in_time())
     finally:
         running.stop()
     assert all(process.returncode is not None for process in running.processes.values())
@@ -148,7 +151,7 @@ class Fleet:
     def kill(self, name: str) -> None:
         """Kill a process with a signal that it cannot catch, or say goodbye to others."""
         self.processes[name].kill()
-        assert self.processes[name].wait() == -signal.SIGKILL
+        assert self.processes[name].wait(STOP_S) == -signal.SIGKILL
         self._ros.killed.add(f"/{name}")
 
     def log(self, name: str) -> Path:
@@ -211,7 +214,7 @@ class Fleet:
             return process.wait(STOP_S)
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGABRT)  # rclpy has faulthandler print where it is
-            process.wait()
+            process.wait(STOP_S)
             raise AssertionError(f"{name} does not stop: {self.log(name).read_text()}") from None
 
     def kill_all(self) -> None:
@@ -219,7 +222,7 @@ class Fleet:
         for process in self.processes.values():
             if process.poll() is None:
                 process.kill()
-            process.wait()
+            process.wait(STOP_S)
 
 
 @pytest.fixture(scope="module")
@@ -339,7 +342,7 @@ def test_a_second_process_of_a_name_does_not_join(fleet: Fleet, tmp_path: Path) 
         for process in seconds.values():
             process.kill()
     for name, process in seconds.items():
-        said, _ = process.communicate()
+        said, _ = process.communicate(timeout=STOP_S)
         first = "leg_rear_left" if name == "leg_node" else name
         elder = fleet.processes[first].pid
         assert process.returncode == TAKEN, said
@@ -359,7 +362,7 @@ def test_a_second_run_is_refused_before_it_starts_anything(ros: Ros, tmp_path: P
         with pytest.raises(TakenError, match="/sim_node"):
             Graph(walk(), context=ros.context)
         with closing(Graph(walk(), context=ros.context, namespace="robot_2")):
-            first.wait()
+            first.wait(in_time())
     assert load_record(tmp_path / "first").measured["cycles"] == CYCLES
 
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import ast
-import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from support.command import ROOT, child
+
 HOUSE = ("ember_ros", "leg_node", "cpg_node", "sim_node")
 
 # Files that may import ROS anywhere.
@@ -195,14 +194,7 @@ def test_pure_files_are_imported_without_ros_and_bullet() -> None:
     """In a Python that has neither, every pure file and every assembly can be imported."""
     names = sorted({*PURE, *LAZY})
     script = f"NAMES = {ROS_NAMES!r}\nENDINGS = {ROS_ENDINGS!r}\n{BLOCKED}"
-    done = subprocess.run(
-        [sys.executable, "-c", script, *names],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        check=False,
-    )
+    done = child([sys.executable, "-c", script, *names])
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == str(len(names))
 
@@ -219,8 +211,6 @@ for _ in range(64):
 print(int(loop.finish().visits.sum()))
 """
     script = f"NAMES = {ROS_NAMES!r}\nENDINGS = {ROS_ENDINGS!r}\n{BLOCKED}\n{run}"
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, check=False
-    )
+    done = child([sys.executable, "-c", script])
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["0", str(4 * 63)]

@@ -441,7 +441,7 @@ def test_a_missing_command_is_counted_and_is_no_difference(
     """The leg that replays says what was not heard: everything else is equal, the table too."""
     gone = [("rear_left/command", tick) for tick in (0, 31, 32, 70)]
     gone += [("front_right/command", walked.ticks - 1)]
-    done = again(rewrite(walked, tmp_path / "bag", without(*gone)), on)
+    done = again(rewrite(walked, tmp_path / "bag", without(*gone)), on_graph)
     assert done.unanswered == {"front_right": 1, "rear_left": 4}
     assert (done.difference, done.missing) == (None, None)
     assert (done.ticks, done.compared) == (walked.ticks, 4 * walked.ticks - 5)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -25,9 +24,10 @@ from ember_ros.spinning import main_of
 from leg_node.node import LegNode
 from leg_node.table_node import TableNode
 from sim_node.node import SimNode
-from support.robot import PATIENCE_S, overrides
+from support.robot import PATIENCE_S, overrides, spun
 from support.ros import Ros
 from support.runs import Bits
+from support.waiting import in_time
 
 PLAN = Plan("walker", 6, seed=4, params=replace(Params(), {"walk.sync_every": 32}))
 SOON_S = 1.0
@@ -91,15 +91,10 @@ def test_of_two_runs_one_is_refused_and_the_other_ends_with_its_own_bits(
         for _ in range(2):
             with pytest.raises(TakenError, match=r"^/ as a whole is taken by /sim_node"):
                 Graph(PLAN, context=ros.context)
-            deadline = time.monotonic() + 60.0
-            while graph.sim.tick < 40:
-                assert time.monotonic() < deadline
-                graph.spin_once()
-        graph.run()
-        assert by_graph(graph) == by_loop(PLAN)
+            ros.spin_until(lambda: graph.sim.tick >= 40, "tick 40", graph.spin_once)
+        assert by_graph(spun(graph)) == by_loop(PLAN)
     with closing(Graph(PLAN, patience=PATIENCE_S, context=ros.context)) as graph:
-        graph.run()
-        assert by_graph(graph) == by_loop(PLAN)
+        assert by_graph(spun(graph)) == by_loop(PLAN)
 
 
 def test_a_bag_is_not_played_beside_a_robot_nor_a_robot_begun_beside_a_bag(ros: Ros) -> None:
@@ -136,7 +131,7 @@ def test_a_stranger_on_the_graph_is_named_before_the_first_tick(ros: Ros) -> Non
     ros.publisher(topics.PHASE, matched=False)
     with closing(Graph(PLAN, patience=PATIENCE_S)) as graph:
         with pytest.raises(TakenError, match=r"^/cpg/phase is taken by /onlooker"):
-            graph.run()
+            graph.run(in_time())
         assert graph.sim.tick == 0
 
 

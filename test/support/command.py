@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -63,3 +64,29 @@ def child(
         check=False,
         timeout=deadline_s,
     )
+
+
+@contextmanager
+def started(words: Sequence[Any], **how: Any) -> Iterator[subprocess.Popen[Any]]:
+    """Start a process, and kill it in the end if it has not ended.
+
+    Args:
+        words: the command.
+        how: more of `subprocess.Popen`.
+    """
+    with subprocess.Popen([str(word) for word in words], **how) as process:
+        try:
+            yield process
+        finally:
+            process.kill()  # or leaving would wait for it without a deadline
+
+
+@contextmanager
+def nobody_reads() -> Iterator[int]:
+    """Give the writing end of a pipe that nobody reads, as of ``head`` that has ended."""
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        yield write
+    finally:
+        os.close(write)

@@ -9,7 +9,7 @@ from typing import Any
 from rclpy.parameter import Parameter
 
 from cpg_node.node import CpgNode
-from ember_ros.graph import node_options
+from ember_ros.graph import Graph, node_options
 from ember_ros.params import as_dict
 from ember_ros.plan import Plan
 from leg_node.node import LegNode
@@ -19,6 +19,7 @@ from sim_node.world import World
 from support.legs import LEGS
 from support.ros import Ros
 from support.runs import Bits, by_graph
+from support.waiting import in_time
 
 PATIENCE_S = 30.0
 """Wall time that nodes wait where bits are compared: a busy machine must not change them."""
@@ -45,6 +46,13 @@ def level(message: Any, name: str) -> tuple[bytes, str]:
     """Return the level and the text of one status in a diagnostics message."""
     (status,) = (s for s in message.status if s.name == name)
     return status.level, status.message
+
+
+def spun(graph: Graph) -> Graph:
+    """Run a graph to its end, which must come in time; return it."""
+    graph.run(in_time())
+    assert graph.sim.done
+    return graph
 
 
 class Robot:

@@ -10,6 +10,7 @@ from ember_ros.loop import Loop
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import Recorder
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
+from leg_node.table import Table
 
 
 class Bits(NamedTuple):
@@ -21,18 +22,24 @@ class Bits(NamedTuple):
     falls: int
 
 
-@functools.cache
-def by_loop(plan: Plan) -> Bits:
-    """Run a plan in the loop, the specification, once a session."""
+def recorded(plan: Plan) -> tuple[Table, Recorder]:
+    """Run a plan in the loop; return what was learnt and the record."""
     loop = Loop(plan)
     try:
         recorder = Recorder(plan.params, plan.legs)
         for _ in range(plan.cycles * plan.params.gait.ticks):
             loop.tick(recorder)
         recorder.finish(loop.world.observe(), loop.world.body())
-        return bits_of(loop.finish().sha256(), recorder.summary())
+        return loop.finish(), recorder
     finally:
         loop.close()
+
+
+@functools.cache
+def by_loop(plan: Plan) -> Bits:
+    """Run a plan in the loop, the specification, once a session."""
+    table, recorder = recorded(plan)
+    return bits_of(table.sha256(), recorder.summary())
 
 
 def bits_of(table_sha256: str, summary: dict[str, Any]) -> Bits:

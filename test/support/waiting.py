@@ -15,3 +15,14 @@ def until(condition: Callable[[], object], what: str, deadline_s: float = DEADLI
     while not condition():
         assert time.monotonic() < deadline, f"did not come true: {what}"
         time.sleep(0.01)
+
+
+def in_time(deadline_s: float = DEADLINE_S) -> Callable[..., bool]:
+    """Return what says whether a run may go on: it fails after a deadline."""
+    deadline = time.monotonic() + deadline_s
+
+    def go_on(*_: object) -> bool:
+        assert time.monotonic() < deadline, "did not end in time"
+        return True
+
+    return go_on
