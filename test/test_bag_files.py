@@ -51,11 +51,11 @@ from ember_ros.loop import Loop
 from ember_ros.observer import Observer
 from ember_ros.params import Params
 from ember_ros.plan import Plan
-from ember_ros.shipped import BAG, DATA
 from ember_ros.signals import Beat, BodyState
 from leg_node.assembly import empty_table
 from leg_node.table import Table
 from sim_node.fake import FakeWorld
+from support.bags import KEPT
 from support.legs import LEGS
 from support.runs import Heard
 from support.waiting import DEADLINE_S
@@ -1720,15 +1720,14 @@ def test_a_reader_in_javascript_agrees(
 
 def test_repairing_a_whole_bag_keeps_what_is_known_of_its_end(tmp_path: Path) -> None:
     """A bag that lacks nothing keeps the SHA-256 of its table; one that was cut does not."""
-    kept = DATA / BAG
     for name, cut in (("whole", 0), ("cut", 100_000)):
         folder = tmp_path / name / "walk"
-        shutil.copytree(kept, folder)
+        shutil.copytree(KEPT, folder)
         file = folder / "walk_0.mcap"
         data = file.read_bytes()
         file.write_bytes(data[: len(data) - cut])
         repair(folder)
         known = read_metadata(folder)["custom_data"]
-        assert (known == read_metadata(kept)["custom_data"]) is (cut == 0)
+        assert (known == read_metadata(KEPT)["custom_data"]) is (cut == 0)
         if not cut:
             assert file.read_bytes() == data

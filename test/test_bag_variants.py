@@ -20,12 +20,11 @@ import yaml
 from ember_ros.bag.reading import Bag
 from ember_ros.bag.storage import INFORMATION, METADATA
 from ember_ros.errors import BagError
-from ember_ros.shipped import BAG, DATA
+from support.bags import KEPT
 from support.needs import needs_bags
 
 pytestmark = needs_bags
 
-WALK = DATA / BAG
 CYCLES_S = 1.0
 """So much of the walk is enough: two cycles."""
 NOON = 1_717_243_200_000_000_000
@@ -53,7 +52,7 @@ def messages() -> Messages:
     """Return the first messages of a walk, as they lie in its file."""
     from mcap.reader import make_reader
 
-    (file,) = WALK.glob("*.mcap")
+    (file,) = KEPT.glob("*.mcap")
     found = []
     with file.open("rb") as raw:
         for schema, channel, message in make_reader(raw).iter_messages(log_time_order=False):

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from ember_ros.cli import main
 from ember_ros.experiments.reproduction import RESULTS
 from ember_ros.params import Params
+from support.command import ember
 from support.needs import needs_bullet
 
 pytestmark = needs_bullet
@@ -71,15 +71,12 @@ def test_a_walker_keeps_its_heading_when_it_falls() -> None:
 @pytest.mark.slow
 def test_the_experiment_writes_what_its_page_says(tmp_path: Path) -> None:
     """By the command, small; and its page is made again from its numbers alone."""
-    words = ["experiment", "isotropy", "--out", str(tmp_path), "--trials", str(tmp_path / "trials")]
-    with pytest.raises(SystemExit) as ended:
-        main([*words, "--cycles", "4", "--walk-cycles", "20"])
-    assert ended.value.code == 0
+    words = ("experiment", "isotropy", "--out", tmp_path, "--trials", tmp_path / "trials")
+    assert ember(*words, "--cycles", 4, "--walk-cycles", 4) == 0
     found = json.loads((tmp_path / RESULTS / "isotropy.json").read_text())
     assert [len(found["walks"][f"{who}/robot"]) for who in ("scripted", "trained")] == [8, 8]
     page = tmp_path / RESULTS / "isotropy.md"
     before = page.read_text()
     page.write_text("")
-    with pytest.raises(SystemExit):
-        main([*words, "--redraw"])
+    assert ember(*words, "--redraw") == 0
     assert page.read_text() == before

@@ -23,13 +23,12 @@ from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
 from ember_ros.plan import Plan
 from ember_ros.run import run
-from ember_ros.shipped import BAG, DATA
 from ember_ros.signals import LegCommand
 from leg_node.assembly import empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
 from support import bags
-from support.bags import Made, write
+from support.bags import KEPT, Made, write
 from support.learning import Seen, literally
 from support.legs import LEGS
 from support.needs import needs_bags, needs_bullet
@@ -795,8 +794,6 @@ def test_a_run_never_writes_over_a_bag(tmp_path: Path) -> None:
 
 
 # -- the bag that comes with the package -------------------------------------------------------
-
-KEPT = DATA / BAG
 
 
 @pytest.mark.parametrize("on", ["loop", pytest.param("graph", marks=needs_bullet)])

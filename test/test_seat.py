@@ -19,11 +19,11 @@ from ember_ros.graph import Graph
 from ember_ros.params import Params, replace
 from ember_ros.plan import Plan
 from ember_ros.seat import TAKEN, Seat, TakenError, make_sure
-from ember_ros.shipped import BAG, DATA
 from ember_ros.spinning import main_of
 from leg_node.node import LegNode
 from leg_node.table_node import TableNode
 from sim_node.node import SimNode
+from support.bags import KEPT
 from support.robot import PATIENCE_S, overrides, spun
 from support.ros import Ros
 from support.runs import Bits
@@ -99,7 +99,7 @@ def test_of_two_runs_one_is_refused_and_the_other_ends_with_its_own_bits(
 
 def test_a_bag_is_not_played_beside_a_robot_nor_a_robot_begun_beside_a_bag(ros: Ros) -> None:
     """Who plays it has the seats of all whom it speaks for."""
-    with Bag(DATA / BAG) as bag:
+    with Bag(KEPT) as bag:
         player = ros.add(PlayerNode(bag, paused=True, context=ros.context))
         with pytest.raises(TakenError, match=r"^/clock is taken by /player_node"):
             make(ros, "/clock")
