@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from ember_ros.params import Params, replace
 from ember_ros.signals import LegSense
 from leg_node.assembly import empty_table
-from leg_node.discretizer import PaperDiscretizer
+from leg_node.discretizer import PaperDiscretizer, states_of
 
 PARAMS = Params()
 PARTITION = PaperDiscretizer(PARAMS)
@@ -62,8 +62,8 @@ def inclination_bin(inclination: float) -> int:
 def test_the_paper_s_partition_is_the_default() -> None:
     """17 x 8 x 8 x 2 x 2 states, as many as the table has rows."""
     assert PARTITION.shape == (17, 8, 8, 2, 2)
-    assert PARTITION.size == 17 * 8 * 8 * 2 * 2
-    assert empty_table(PARAMS).states == PARTITION.size
+    assert states_of(PARTITION) == 17 * 8 * 8 * 2 * 2
+    assert empty_table(PARAMS).states == states_of(PARTITION)
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
@@ -72,7 +72,7 @@ def test_every_sense_has_a_state(sense: LegSense, stance: bool) -> None:
     """Any finite sense, however wild, has one state within the table."""
     index = PARTITION.index(sense, stance)
     assert type(index) is int
-    assert 0 <= index < PARTITION.size
+    assert 0 <= index < states_of(PARTITION)
 
 
 def test_every_state_has_a_sense() -> None:
@@ -89,7 +89,7 @@ def test_every_state_has_a_sense() -> None:
             hips, forces, inclinations, (True, False), (False, True)
         )
     ]
-    assert seen == list(range(PARTITION.size))
+    assert seen == list(range(states_of(PARTITION)))
 
 
 def test_states_are_row_major() -> None:
@@ -163,6 +163,6 @@ def test_another_partition() -> None:
     )
     partition = PaperDiscretizer(params)
     assert partition.shape == (3, 2, 3, 2, 2)
-    assert partition.size == empty_table(params).states == 72
+    assert states_of(partition) == empty_table(params).states == 72
     top = AT_REST._replace(hip=9.0, force_mean=99.0, inclination=9.0, hair=True)
     assert partition.index(top, False) == 71
