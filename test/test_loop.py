@@ -12,19 +12,18 @@ import pytest
 
 from ember_ros.errors import ParameterError, TableError
 from ember_ros.loop import Loop
-from ember_ros.params import TRAINER_LEG, replace
+from ember_ros.params import TRAINER_LEG, Params, replace
 from ember_ros.params_file import load_params
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import Recorder
 from ember_ros.signals import LegSense
 from leg_node.assembly import empty_table
-from leg_node.gait import HipRamp
-from leg_node.module import LegModule
 from leg_node.table_file import save_table
 from sim_node.fake import FakeWorld
 from sim_node.worlds import make_world
+from support.gaits import PlainGait
 from support.learning import literally
-from support.legs import LEGS
+from support.legs import LEGS, beat
 from support.needs import needs_bullet
 from support.runs import Heard
 
@@ -194,6 +193,9 @@ class PaidForSpeed:
 
     names = ("speed", "fine")
 
+    def __init__(self, params: Params) -> None:
+        """Take nothing from the parameters."""
+
     def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
         """Return both."""
         return {"speed": abs(sense.knee_speed), **({"fine": -0.5} if stance else {})}
@@ -201,10 +203,8 @@ class PaidForSpeed:
 
 def test_what_is_reported_is_what_was_paid() -> None:
     """Legs of another reward are reported by it, term by term, not by the paper's."""
-    with looping("fake", 2, policy="random") as loop:
-        loop.legs = [
-            LegModule(PARAMS, leg, policy="random", rewarder=PaidForSpeed()) for leg in LEGS
-        ]
+    params = replace(PARAMS, {"parts.reward": f"{__name__}.PaidForSpeed"})
+    with looping("fake", 2, policy="random", params=params) as loop:
         heard, recorder = Heard(), Recorder(PARAMS, LEGS)
         for _ in range(2 * TICKS):
             loop.tick(heard, recorder)
@@ -306,16 +306,16 @@ def test_legs_learn_from_each_other() -> None:
 
 
 def test_a_tick_is_of_one_tick() -> None:
-    """Phase, senses and commands that an observer hears all carry the same tick."""
+    """Beat, senses and commands that an observer hears all carry the same tick."""
     with looping("fake", 3) as loop:
         heard = Heard()
         for _ in range(3 * TICKS):
             loop.tick(heard)
         assert loop.now == 3 * TICKS
-    for tick, (phase, senses, commands) in enumerate(
+    for tick, (heard_beat, senses, commands) in enumerate(
         zip(heard.phases, heard.senses, heard.commands, strict=True)
     ):
-        assert phase == tick / TICKS
+        assert heard_beat == beat(tick)
         assert {sense.tick for sense in senses} == {command.tick for command in commands} == {tick}
 
 
@@ -326,7 +326,7 @@ def test_a_leg_s_name_and_place_go_with_its_senses() -> None:
         for _ in range(TICKS):
             loop.tick()
         for leg, sense in zip(LEGS, loop.world.observe(), strict=True):
-            goal = HipRamp(PARAMS.gait, leg).hip_goal((TICKS - 1) / TICKS)
+            goal = PlainGait(PARAMS, leg).hip_goal(TICKS - 1)
             assert sense.hip == pytest.approx(goal, abs=0.01)
 
 

@@ -16,12 +16,12 @@ import pytest
 
 from ember_ros.params import Params
 from ember_ros.report.recorder import BODY, CYCLES, MEASURED, TRACES, Recorder, Row, load_record
-from ember_ros.signals import BodyState, LegCommand, LegSense, Transition
-from leg_node.gait import HipRamp
-from leg_node.module import LegModule
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
+from leg_node.assembly import make_leg
 from leg_node.reward import PaperReward
 from sim_node.fake import FakeWorld
-from support.legs import LEGS
+from support.gaits import PlainGait
+from support.legs import LEGS, beat
 
 PARAMS = Params()
 TICKS = PARAMS.gait.ticks
@@ -30,7 +30,7 @@ TICKS = PARAMS.gait.ticks
 class Tick(NamedTuple):
     """What a recorder hears of a tick."""
 
-    phase: float
+    beat: Beat
     senses: tuple[LegSense, ...]
     commands: tuple[LegCommand | None, ...]
     body: BodyState
@@ -43,11 +43,11 @@ def run(ticks: int, *, falls_at: Sequence[int] = (), legs: Sequence[str] = LEGS)
     The body's pose is made up: it turns, nods and sinks a little, so that every column varies.
     """
     world = FakeWorld(legs, PARAMS, falls_at=falls_at)
-    modules = [LegModule(PARAMS, leg, policy="random", shared=False) for leg in legs]
+    modules = [make_leg(PARAMS, leg, policy="random", shared=False) for leg in legs]
     heard = []
     for tick in range(ticks + 1):
-        phase, senses = tick / TICKS, world.observe()
-        commands = tuple(leg.tick(s, phase) for leg, s in zip(modules, senses, strict=True))
+        senses = world.observe()
+        commands = tuple(leg.tick(s, beat(tick)) for leg, s in zip(modules, senses, strict=True))
         wave = math.sin(tick)
         body = world.body()._replace(
             y=0.01 * tick,
@@ -57,8 +57,8 @@ def run(ticks: int, *, falls_at: Sequence[int] = (), legs: Sequence[str] = LEGS)
             yaw=0.3,
         )
         paid = tuple(leg.transition for leg in modules)
-        heard.append(Tick(phase, senses, commands, body, paid))
-        world.step(phase, commands)
+        heard.append(Tick(beat(tick), senses, commands, body, paid))
+        world.step(beat(tick), commands)
     return heard
 
 
@@ -113,12 +113,12 @@ def test_the_legs_lines() -> None:
     recorder, rewarder = record(heard), PaperReward(PARAMS)
     assert sum(did is None or not did.credited for t in heard[1:] for did in t.transitions) == 4
     for place, leg in enumerate(LEGS):
-        gait = HipRamp(PARAMS.gait, leg)
+        gait = PlainGait(PARAMS, leg)
         for cycle in range(2):
             ends = [
                 (
-                    gait.stance(tick.phase),
-                    gait.rewarded_as_stance(tick.phase, PARAMS.reward.lead),
+                    gait.stance(tick.beat.tick),
+                    gait.rewarded_as_stance(tick.beat.tick, PARAMS.reward.lead),
                     after.senses[place],
                 )
                 for tick, after in zip(
@@ -148,11 +148,11 @@ def test_the_legs_lines() -> None:
 def test_contact_share_is_of_stance_only() -> None:
     """Always on the ground is 1, never is 0, and contact in swing does not count."""
     heard = run(TICKS)
-    gait = HipRamp(PARAMS.gait, LEGS[0])
+    gait = PlainGait(PARAMS, LEGS[0])
     for pattern, wanted in (("always", 1.0), ("never", 0.0), ("swing", 0.0), ("stance", 1.0)):
         changed = []
         for n, tick in enumerate(heard):
-            stance = gait.stance((n - 1) / TICKS) if n else True
+            stance = gait.stance(n - 1) if n else True
             force = {
                 "always": 9.0,
                 "never": 0.0,
@@ -331,14 +331,14 @@ def test_hashes_are_the_same_on_every_machine() -> None:
     sense = LegSense(3, 0.5, 1.0, -1.0, 2.0, 24.5, 30.0, -0.5, 0.001, True, True, False)
     body = BodyState(0.0, 0.0, 0.45, 0.0, 0.0, 0.0, 0)
     recorder = Recorder(PARAMS, LEGS[:1])
-    paid = Transition(3, True, 70, 8, (("height", 0.5), ("slip", -0.25)))
-    recorder.tick(3 / 32, [sense], [LegCommand(3, -0.25, 8.0, 12.0, 16.0)], body, [paid])
-    recorder.tick(4 / 32, [sense._replace(tick=4)], [None], body, [None])
+    paid = Transition(3, 70, True, 8, (("height", 0.5), ("slip", -0.25)), 71, False, -0.125)
+    recorder.tick(beat(3), [sense], [LegCommand(3, -0.25, 8.0, 12.0, 16.0)], body, [paid])
+    recorder.tick(beat(4), [sense._replace(tick=4)], [None], body, [None])
     recorder.finish([sense._replace(tick=5)], body)
     numbers = struct.pack("<8d", 0.5, 1.0, -1.0, 2.0, 24.5, 30.0, -0.5, 0.001)
     senses = b"".join(struct.pack("<q", n) + numbers + b"\x01\x01\x00" for n in (3, 4))
     commands = struct.pack("<q4d", 3, -0.25, 8.0, 12.0, 16.0) + b"\x00"
-    transitions = struct.pack("<q?2q2d", 3, True, 70, 8, 0.5, -0.25) + b"\x00"
+    transitions = struct.pack("<2q?2q?3d", 3, 70, True, 8, 71, False, -0.125, 0.5, -0.25) + b"\x00"
     assert hashes(recorder) == tuple(
         hashlib.sha256(each).hexdigest() for each in (senses, commands, transitions)
     )

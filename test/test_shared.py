@@ -36,7 +36,7 @@ histories = st.dictionaries(
 
 def shared_table() -> SharedTable:
     """Return an empty shared table."""
-    return SharedTable(Table(STATES, ACTIONS), cells=CELLS, rate=RATE)
+    return SharedTable(Table(STATES, ACTIONS), legs=4, cells=CELLS, rate=RATE)
 
 
 def push(leg: int, epoch: int, *pairs: Any, run: str = "run") -> Push:
@@ -367,7 +367,7 @@ def test_a_restored_table_goes_on_as_if_it_had_lived(
         table.merge(upto)
     again = Table(STATES, ACTIONS)
     again.copy_from(died.table)
-    reborn = SharedTable(again, cells=CELLS, rate=RATE, version=died.version + 1)
+    reborn = SharedTable(again, legs=4, cells=CELLS, rate=RATE, version=died.version + 1)
     reborn.restore(died.done(), died.pending())
     for each in pushes:
         assert reborn.push(each) == lived.push(each)
