@@ -1231,6 +1231,7 @@ def cut(whole: Whole, offset: int, *, metadata: bool) -> None:
             assert reader.message_count == len(left)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beside", [-1, 0, 1])
 def test_a_bag_cut_off_near_the_end_of_a_chunk(whole: Whole, beside: int) -> None:
     """One byte decides: a chunk is brought back if its last byte is there, and else is not."""

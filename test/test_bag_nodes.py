@@ -220,6 +220,7 @@ def test_a_recorder_records_every_robot_on_the_graph(ros: Ros, tmp_path: Path) -
             assert replay(bag).table.sha256() == robot.table
 
 
+@pytest.mark.slow
 def test_a_recorder_that_joins_late_and_leaves_early_says_so_and_holds_nobody(
     ros: Ros, tmp_path: Path
 ) -> None:
@@ -578,6 +579,7 @@ def test_legs_that_were_told_different_things_are_not_replayed(
             replay(bag)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [False, True], ids=["at once", "after a while"])
 def test_a_disk_that_is_full_ends_the_run_with_an_error(
     ros: Ros, tmp_path: Path, after: bool

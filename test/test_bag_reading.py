@@ -752,6 +752,7 @@ def test_raw_messages_are_all_there_in_the_order_of_their_times(walked: Run) -> 
         assert list(opened.raw(start)) == [raw for raw in every if raw.ns >= start]
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(
     spread=st.sampled_from([0.0, 0.9, 5.0, 40.0, LATE - 2.0]),

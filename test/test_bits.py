@@ -122,6 +122,7 @@ def test_the_bits_are_those_that_were_written_down() -> None:
     assert hashes() == GOLDEN
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", list(OTHERS))
 def test_the_bits_do_not_hang_on_the_machine(other: str) -> None:
     """Whichever BLAS kernel, SIMD set, number of threads or locale it is."""

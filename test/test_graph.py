@@ -68,7 +68,12 @@ def refusals(nodes: dict[str, Any]) -> dict[str, int]:
 # -- the same bits -----------------------------------------------------------------------------
 
 
-SLOW = {"walker, one table for all", "walker, the end within an epoch", "walker, scripted"}
+SLOW = {
+    "walker, one table for all",
+    "walker, the end within an epoch",
+    "walker, scripted",
+    "walker, random",
+}
 
 
 @pytest.mark.parametrize(

@@ -752,6 +752,7 @@ def test_loop_graph_and_processes_write_the_same_bytes(ros: Ros, tmp_path: Path)
         assert (done.ticks, done.compared) == (4 * TICKS, 16 * TICKS)
 
 
+@pytest.mark.slow
 @needs_bullet
 def test_a_graph_that_is_stopped_leaves_a_whole_bag(ros: Ros, tmp_path: Path) -> None:
     """Its commands come out again; which table it ended with nobody can say, and nobody does."""
@@ -796,7 +797,9 @@ def test_a_run_never_writes_over_a_bag(tmp_path: Path) -> None:
 # -- the bag that comes with the package -------------------------------------------------------
 
 
-@pytest.mark.parametrize("on", ["loop", pytest.param("graph", marks=needs_bullet)])
+@pytest.mark.parametrize(
+    "on", ["loop", pytest.param("graph", marks=[needs_bullet, pytest.mark.slow])]
+)
 def test_the_bag_that_comes_with_the_package_is_replayed(on: str) -> None:
     """Recorded by another process, at another time: every command and the table come out equal."""
     with Bag(KEPT) as bag:

@@ -83,6 +83,7 @@ def test_a_table_that_comes_second_touches_no_file(ros: Ros, tmp_path: Path) -> 
     ros.remove(first)
 
 
+@pytest.mark.slow
 def test_of_two_runs_one_is_refused_and_the_other_ends_with_its_own_bits(
     ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
