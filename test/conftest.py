@@ -11,10 +11,9 @@ import pytest
 from hypothesis import settings
 
 from ember_ros.plan import Plan
-from support import ros as own
 from support import runs
 from support.needs import ROS
-from support.ros import Ros
+from support.ros import Ros, reserved_domain, ros_in
 from support.runs import Bits
 
 SIM = find_spec("pybullet") is not None
@@ -93,7 +92,7 @@ def by_graph() -> Callable[[Any], Bits]:
 @pytest.fixture
 def free_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """Give a test and its processes a domain of their own."""
-    with own.reserved_domain() as domain:
+    with reserved_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         yield domain
 
@@ -101,16 +100,16 @@ def free_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 @pytest.fixture
 def ros(free_domain: int) -> Iterator[Ros]:
     """Give a test an rclpy context in its domain."""
-    with own.ros_in(free_domain) as ros:
+    with ros_in(free_domain) as ros:
         yield ros
 
 
 @pytest.fixture(scope="module")
 def ros_of_module() -> Iterator[Ros]:
     """Give the tests of a module one context in one domain, and their processes that domain."""
-    with own.reserved_domain() as domain, pytest.MonkeyPatch.context() as patch:
+    with reserved_domain() as domain, pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(domain))
-        with own.ros_in(domain) as ros:
+        with ros_in(domain) as ros:
             yield ros
 
 
