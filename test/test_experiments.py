@@ -54,6 +54,7 @@ from leg_node.discretizer import PaperDiscretizer
 from leg_node.table_file import load_table
 from sim_node.worlds import make_world
 from support.command import EMBER, ROOT, child, ember, started
+from support.legs import beat
 from support.waiting import DEADLINE_S, until
 
 pytest.importorskip("pybullet", reason="a trial needs a world")
@@ -287,7 +288,7 @@ def test_a_sense_that_is_left_out_says_nothing() -> None:
     # The hair is no matter of the partition: it is so long that it touches wherever the leg is.
     world = make_world("walker", numbers("ember", **senses.WITHOUT["without hair"]), 0)
     for tick in range(40):
-        world.step(tick / 32, [None] * 4)
+        world.step(beat(tick), [None] * 4)
         assert all(sense.hair for sense in world.observe())
     world.close()
 

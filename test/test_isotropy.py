@@ -11,6 +11,7 @@ import pytest
 from ember_ros.experiments.reproduction import RESULTS
 from ember_ros.params import Params
 from support.command import ember
+from support.legs import beat
 from support.needs import needs_bullet
 
 pytestmark = needs_bullet
@@ -59,9 +60,9 @@ def test_a_walker_keeps_its_heading_when_it_falls() -> None:
     world = WalkerWorld(replace(PARAMS, {"walker.fall_height": 0.9}), heading=2.0)
     try:
         for tick in range(PARAMS.gait.ticks):
-            world.step(tick / PARAMS.gait.ticks, [None] * 4)
+            world.step(beat(tick), [None] * 4)
         assert world.body().falls == 1
-        world.step(1.0, [None] * 4)
+        world.step(beat(32), [None] * 4)
         # It stands for a tick, and its twist turns it a little.
         assert world.body().yaw == pytest.approx(2.0, abs=0.05)
     finally:
