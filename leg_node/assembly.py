@@ -58,7 +58,13 @@ def make_discretizer(params: Params) -> Discretizer:
         ParameterError: there is none, or its states are none or too many.
     """
     made: Discretizer = parts.make(params, "discretizer", params)
-    shape, alike = tuple(made.shape), tuple(made.neighbours)
+    try:
+        shape, alike = tuple(made.shape), tuple(made.neighbours)
+    except (AttributeError, TypeError) as error:
+        raise ParameterError(
+            f"parts.discretizer = {shown(params.parts.discretizer)}: {error}; a tuple of numbers "
+            "of bins as shape, and one of bits as neighbours, would be right"
+        ) from error
     sizes = [n for n in shape if type(n) is int and n > 0]
     if not shape or len(sizes) != len(shape) or len(alike) != len(shape):
         raise ParameterError(
