@@ -12,6 +12,7 @@ and what would be right.
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,6 +30,8 @@ TRANSITION = ("state", "stance", "action", "next_state", "next_stance", "td_erro
 """What ``<leg>/transition`` names first, in ``position``: indexes, -1 where there is nothing to
 credit, bits as 0 or 1, and an error in units of the reward; every weighted term of the reward
 follows by its own name."""
+OLDER_TRANSITION = ("stance", "state", "action")
+"""What it named first before it told of the tick that begins: of older bags, and not read."""
 GIGA = 1_000_000_000
 CDR = b"\x00\x01\x00\x00"
 """The four bytes before every message: plain CDR, little endian."""
@@ -416,6 +419,14 @@ class TransitionWire:
                 "right"
             )
         return names[len(TRANSITION) :]
+
+
+def is_older_transition(data: Bytes) -> bool:
+    """Return whether a message is a ``<leg>/transition`` as it was laid out before."""
+    try:
+        return tuple(itertools.islice(_names(data, ""), 3)) == OLDER_TRANSITION
+    except SignalError:
+        return False
 
 
 def _names(data: Bytes, where: str) -> Iterator[str]:

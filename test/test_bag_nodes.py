@@ -594,7 +594,7 @@ def test_a_disk_that_is_full_ends_the_run_with_an_error(
         if after:
             ros.spin_until(lambda: size_of(folder) > 60_000, "some chunks", graph.spin_once)
         most = size_of(folder) + 1000
-        writes = graph.sim._bag._process.pid
+        writes = graph.sim._bag._writer._process.pid
         resource.prlimit(writes, resource.RLIMIT_FSIZE, (most, most))
         ros.spin_until(lambda: graph.sim.done, "the disk is full", graph.spin_once)
         with pytest.raises(BagError, match=r"cannot write the bag .*File too large"):
@@ -621,7 +621,7 @@ def test_a_writer_that_is_killed_ends_the_run_with_an_error(ros: Ros, tmp_path: 
     )
     with closing(graph):
         ros.spin_until(lambda: size_of(tmp_path / "bag") > 60_000, "some chunks", graph.spin_once)
-        graph.sim._bag._process.send_signal(signal.SIGKILL)
+        graph.sim._bag._writer._process.send_signal(signal.SIGKILL)
         ros.spin_until(lambda: graph.sim.done, "the writer is gone", graph.spin_once)
         with pytest.raises(BagError, match="ember bag repair"):
             graph.finish()
@@ -841,8 +841,8 @@ PLANS = {
     "walker": plan(0),
     "walker, other numbers": plan(
         0, seed=11, policy="random", learning=False, walk__gamma=0.5, reward__slip=2.5,
-        walker__mass=4.0, physics__friction=0.8, robot__offset=(0.0, 0.5, 0.25, 0.0),
-        leg__load=20.0,
+        walker__mass=4.0, physics__friction=0.8, leg__load=20.0,
+        robot__offset=(0.0, 0.5, 0.25, 0.0), parts__cpg="support.oscillators.Hurrying",
     ),
     "trainer": Plan("trainer", 0, seed=2, params=replace(Params(), {"trainer.tip_mass": 2.0})),
 }  # fmt: skip

@@ -379,7 +379,7 @@ def test_there_is_a_node_for_every_leg_that_the_parameter_file_describes() -> No
         (None, "No such file"),
         ("/**: [", "no YAML"),
         ("/**:\n  ros__parameters:\n    robot:\n      legs: [Left]\n", "robot.legs must be a name"),
-        ("/**:\n  ros__parameters:\n    robot:\n      legs: []\n", "robot.legs must not be empty"),
+        ("/**:\n  ros__parameters:\n    robot:\n      legs: [leg, a b]\n", "not 'a b'"),
     ],
 )
 def test_a_parameter_file_whose_legs_are_not_known_starts_nothing(

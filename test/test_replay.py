@@ -409,11 +409,11 @@ MISSING: dict[str, tuple[list[tuple[str, int]], str]] = {
     ],
 )
 def test_a_record_with_a_hole_is_replayed_up_to_it(
-    tmp_path: Path, walked: Made, what: str, on: str
+    tmp_path: Path, walked: Made, what: str, on_graph: str
 ) -> None:
     """Where it ended is told, on loop and graph; up to there all is equal."""
     gone, says = MISSING[what]
-    done = again(rewrite(walked, tmp_path / "bag", without(*gone)), on)
+    done = again(rewrite(walked, tmp_path / "bag", without(*gone)), on_graph)
     assert done.missing == says
     assert done.difference is None
     assert (done.ticks, done.compared, done.unanswered) == (70, 280, {})

@@ -106,6 +106,7 @@ class Bag:
             self.world = self.card.world if self.card else self._world()
             self.legs = legs_of(self.world, self.params)
             self._check_topics()
+            self._telling = tuple(leg for leg in self.legs if self._tells(leg))
         except BaseException:
             self.close()
             raise
@@ -201,6 +202,14 @@ class Bag:
                     "right"
                 )
 
+    def _tells(self, leg: str) -> bool:
+        """Return whether a leg says what it was paid, in the layout that is read.
+
+        Before, it did not say what came next: such a bag is read as one of legs that say nothing.
+        """
+        data = self._one(topics.transition(leg))
+        return data is not None and not wire.is_older_transition(data)
+
     def _read_run(self) -> tuple[Card | None, Table | None]:
         """Return what determined the run, if the bag says so."""
         text = self._one(topics.CARD)
@@ -252,12 +261,11 @@ class Bag:
     @property
     def reward_terms(self) -> tuple[str, ...]:
         """Return the names of the terms of the legs' reward; none where no leg says them."""
-        for leg in self.legs:
-            topic = topics.transition(leg)
-            data = self._one(topic)
-            if data is not None:
-                did = wire.TransitionWire(leg, self.params.gait.tick_ns).read(data)
-                return tuple(name for name, _ in did.terms)
+        for leg in self._telling:
+            data = self._one(topics.transition(leg))
+            assert data is not None
+            did = wire.TransitionWire(leg, self.params.gait.tick_ns).read(data)
+            return tuple(name for name, _ in did.terms)
         return ()
 
     def messages(self, topic: topics.Topic) -> int:
@@ -305,7 +313,7 @@ class Bag:
         clocked = self._name(topics.CLOCK) in self.connections
         beat = self._name(topics.CLOCK if clocked else topics.PHASE)
         parts = [self._name(topic) for topic in self._needed()]
-        also = [self._name(t) for t in (topics.ODOMETRY, *map(topics.transition, self.legs))]
+        also = [self._name(t) for t in (topics.ODOMETRY, *map(topics.transition, self._telling))]
         parts += [name for name in also if name in self.connections]
         window, falls, newest, back = Window(parts), 0, -1, False
         phase = self._name(topics.PHASE)
@@ -404,7 +412,8 @@ class Bag:
                 return did.tick, did
 
             readers[self._name(topics.command(leg))] = read_command
-            readers[self._name(topics.transition(leg))] = read_transition
+            if leg in self._telling:
+                readers[self._name(topics.transition(leg))] = read_transition
         return readers
 
     def _fell(self, found: dict[str, Any]) -> bool:
