@@ -1040,7 +1040,7 @@ from ember_ros.bag.storage import BagOptions, BagWriter
 from ember_ros.loop import Loop
 from ember_ros.params import Params
 from ember_ros.plan import Plan
-from leg_node.table import empty_table
+from leg_node.assembly import empty_table
 from sim_node.fake import FakeWorld
 
 folder, versions, falls_at = eval(sys.argv[1])

@@ -864,6 +864,7 @@ def test_what_nodes_say_is_what_their_plan_was(ros: Ros, name: str, namespace: s
         empty = empty_table(own.params)
         assert card == Card.of_plan(own, empty, versions())
         assert wrong == []
+        assert card.params.parts.cpg == own.params.parts.cpg
         assert table is not None
         assert table.sha256() == empty.sha256()
         # Of a later tick on the same nodes: what the table was at the start is not known.
@@ -877,7 +878,7 @@ def test_nobody_who_answers_is_said_with_names(ros: Ros) -> None:
     inquiry = Inquiry(ros.node, "")
     for _ in range(20):
         ros.spin_once(0.001)
-        assert inquiry.ask() == ["clock", "table/pull"]
+        assert inquiry.ask() == ["clock", "cpg/phase", "table/pull"]
     card, table, wrong = inquiry.card("walker", 0)
     assert (dict(card.legs), card.start_table_sha256, table) == ({}, None, None)
     for leg in LEGS:

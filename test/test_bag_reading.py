@@ -1202,7 +1202,7 @@ BAD: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         _rewritten(_elsewhere),
         ("no robot", "/front_left/joint_states", "/cpg/phase", "/chatter"),
     ),
-    "no phase": (_without("/cpg/phase"), ("no /cpg/phase (std_msgs/msg/Float64)", "--bag")),
+    "no phase": (_without("/cpg/phase"), (f"no /cpg/phase ({JOINTS})", "--bag")),
     "no command": (
         _without("/rear_left/command"),
         (f"no /rear_left/command ({JOINTS})", "recorder_node"),
@@ -1214,7 +1214,7 @@ BAD: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "no contact": (_without("/front_left/contact"), (f"no /front_left/contact ({JOINTS})",)),
     "a phase of another type": (
         _of_type("/cpg/phase", "std_msgs/msg/Float32"),
-        ("/cpg/phase is of type std_msgs/msg/Float32", "std_msgs/msg/Float64 would be right"),
+        ("/cpg/phase is of type std_msgs/msg/Float32", f"{JOINTS} would be right"),
     ),
     "senses of another type": (
         _of_type("/rear_right/contact", "std_msgs/msg/Float64"),
@@ -1626,8 +1626,7 @@ def test_a_line_a_tick_and_leg(tmp_path: Path, world: str) -> None:
         for leg, line in zip(run.plan.legs, rest, strict=False):
             assert line["leg"] == leg
             hold_line(line, run, tick, after, leg)
-    errors = {line["td_error"] for line in lines}
-    assert len(errors) > len(run.heard)  # of what was learnt, and not one number for all
+    assert len({line["td_error"] for line in lines}) > TICKS // 2  # not one number for all
     with files[0].open(newline="") as file:
         cells = list(csv.reader(file))
     assert tuple(cells[0]) == Row._fields

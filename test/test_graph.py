@@ -20,6 +20,7 @@ from ember_ros import calls, topics, wire
 from ember_ros.errors import EmberError
 from ember_ros.graph import Graph
 from ember_ros.params import Params, cells_sha256
+from ember_ros.params_file import load_params
 from ember_ros.plan import Plan
 from ember_ros.signals import Beat, LegCommand, LegSense, Pair
 from leg_node.assembly import empty_table
@@ -74,6 +75,32 @@ SLOW = {
     "walker, scripted",
     "walker, random",
 }
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"parts__cpg": "support.oscillators.Hurrying"},
+        {f"robot__{n}": v for n, v in vars(load_params("hexapod").robot).items()},
+    ],
+    ids=["an oscillator that hears the legs", "six legs"],
+)
+def test_a_robot_of_other_parts_ends_with_the_bits_of_the_loop(
+    ros: Ros,
+    by_loop: Callable[[Plan], Bits],
+    by_graph: Callable[[Any], Bits],
+    changes: dict[str, Any],
+) -> None:
+    """Which legs there are and what the phase hangs on is data: loop and graph still agree."""
+    plan = Plan("walker", 4, seed=3, params=changed(Params(), **changes))
+    with closing(Graph(plan, patience=PATIENCE_S, context=ros.context)) as graph:
+        spun(graph)
+        assert by_graph(graph) == by_loop(plan) != by_loop(dataclasses.replace(plan, seed=4))
+        assert by_loop(plan) != by_loop(Plan("walker", 4, seed=3))
+        assert not any(refusals(graph.nodes).values())
+
+
+SLOW = {"walker, one table for all", "walker, the end within an epoch", "walker, scripted"}
 
 
 @pytest.mark.parametrize(

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from ember_ros import topics, wire
 from ember_ros.bag import look
 from ember_ros.bag.card import NEUTRAL, Card, read_card
 from ember_ros.errors import BagError
 from ember_ros.params import Params, digest, params_sha256
 from ember_ros.plan import Plan
+from ember_ros.signals import Beat
 from leg_node.assembly import empty_table
+from support import bags
 from support.needs import needs_bags
+from support.plans import small_plan
 
 KEPT = Path(__file__).parent / "fixtures" / "walk"
 
@@ -35,6 +40,77 @@ def test_the_bag_that_is_kept_is_read(tmp_path: Path) -> None:
     lines = files[1].read_text().splitlines()
     assert len(lines) == 1 + 96 * 4
     assert lines[0].split(",") == list(look.TICK_COLUMNS)
+
+
+@needs_bags
+def test_the_phases_of_the_bag_that_is_kept_are_read_as_beats() -> None:
+    """Of before they had a stamp: a phase named its tick."""
+    from ember_ros.bag.reading import Bag
+
+    with Bag(KEPT) as bag:
+        assert bag.connections["/cpg/phase"].msgtype == topics.BARE_PHASE.kind
+        assert [tick.beat for tick in bag.ticks()] == [Beat(n, n / 32) for n in range(96)]
+
+
+@needs_bags
+def test_the_phase_offsets_of_the_bag_that_is_kept_are_those_of_the_robot() -> None:
+    """They were numbers of the gait, one a leg; nothing of the card is gone."""
+    from ember_ros.bag.reading import Bag
+
+    with Bag(KEPT) as bag:
+        assert bag.card is not None
+        assert bag.card.params.robot == Params().robot
+        assert not [name for name in bag.card.gone if name.startswith("gait.")]
+
+
+@needs_bags
+def test_a_bag_of_two_kinds_of_phase_is_read_by_the_stamped_one(tmp_path: Path) -> None:
+    """Whatever else is said on that topic: what this version says is what is read."""
+    from ember_ros.bag.reading import Bag
+
+    made = bags.record(tmp_path / "bag", small_plan(1))
+    raws = bags.raws_of(made.bag)
+    bare = [
+        raw._replace(kind=topics.BARE_PHASE.kind, data=wire.CDR + bytes(8))
+        for raw in raws
+        if raw.topic == "/cpg/phase"
+    ]
+    for name, order in {"before": [*bare, *raws], "behind": [*raws, *bare]}.items():
+        both = bags.write(tmp_path / name, order)
+        with Bag(both) as bag:
+            assert [tick.beat for tick in bag.ticks()] == [Beat(n, n / 32) for n in range(32)]
+
+
+@needs_bags
+def test_transitions_that_do_not_tell_what_came_next_are_left_out(tmp_path: Path) -> None:
+    """Of before they did: all else is read, learnt from and replayed; no reward is made up."""
+    from ember_ros.bag.reading import Bag
+    from ember_ros.bag.relearn import relearn
+    from ember_ros.bag.replay import replay
+
+    made = bags.record(tmp_path / "new", small_plan(2))
+    tick_ns = made.plan.params.gait.tick_ns
+    older = []
+    for raw in bags.raws_of(made.bag):
+        leg, _, what = raw.topic.strip("/").rpartition("/")
+        if what == "transition":
+            did = wire.TransitionWire(leg, tick_ns).read(raw.data)
+            names = [*wire.OLDER_TRANSITION, *(name for name, _ in did.terms)]
+            numbers = [did.stance, did.state, did.action, *(value for _, value in did.terms)]
+            laid = wire.JointWire(f"{leg}_thigh", names, "position")
+            raw = raw._replace(data=laid.pack(raw.ns, numbers))
+        older.append(raw)
+    old = bags.write(tmp_path / "old", older, made.table)
+    with Bag(old) as bag, Bag(made.bag) as new:
+        ticks = list(bag.ticks())
+        assert [tick[:5] for tick in ticks] == [tick[:5] for tick in new.ticks()]
+        assert {tick.transitions for tick in ticks} == {(None,) * 4}
+        assert bag.reward_terms == ()
+        assert look.info(bag)[0]["reward"] is None
+        done = replay(bag)
+    assert done.parts == {"senses": True, "commands": True, "rewards": None, "table": True}
+    assert done.equal
+    assert relearn([old]).table.sha256() == made.table
 
 
 @needs_bags
@@ -95,6 +171,43 @@ def test_a_parameter_that_is_gone_refuses_the_replay_alone(change: dict[str, Any
     (field,) = change[group]
     assert card.gone == {f"{group}.{field}": change[group][field]}
     with pytest.raises(BagError, match=rf"cannot be replayed: .*{group}\.{field} = "):
+        card.plan(1, None)
+
+
+def of_before(offsets: dict[str, float]) -> str:
+    """Return a card of before the robot was described by lists, with these offsets of legs."""
+    content = json.loads(Card.of_plan(Plan("walker", 1), empty_table(Params()), {}).to_json())
+    for group in ("robot", "parts", "script"):
+        del content["params"][group]
+    content["params"]["gait"] |= {f"offset_{leg}": value for leg, value in offsets.items()}
+    content["params_sha256"] = digest(content["params"])
+    return json.dumps(content)
+
+
+def test_offsets_of_the_gait_are_offsets_of_the_robot() -> None:
+    """Each leg's own, in the order of legs; the trainer's, which means nothing, is no loss."""
+    offsets = {"rear_right": 0.75, "front_left": 0.125, "rear_left": 0.5, "front_right": 0.25}
+    card = read_card(of_before({**offsets, "leg": 0.5}), "card")
+    robot = Params().robot
+    expected = dataclasses.replace(robot, offset=(0.125, 0.25, 0.5, 0.75))
+    assert (card.params.robot, card.gone) == (expected, {})
+    assert "robot.offset" not in card.filled
+    assert {"robot.legs", "parts.cpg", "script.swing_bend"} <= card.filled.keys()
+    assert card.plan(1, None).params == dataclasses.replace(Params(), robot=expected)
+
+
+def test_offsets_of_some_legs_alone_are_not_guessed() -> None:
+    """What cannot be understood refuses the replay, and is named."""
+    card = read_card(of_before({"front_left": 0.5, "rear_left": 0.0}), "card")
+    assert card.gone == {"gait.offset_front_left": 0.5, "gait.offset_rear_left": 0.0}
+    with pytest.raises(BagError, match=r"gait\.offset_front_left = 0\.5"):
+        card.plan(1, None)
+
+
+def test_offsets_out_of_their_range_are_told() -> None:
+    """Such a number can mean nothing here: the replay is refused, and it is named."""
+    card = read_card(of_before(dict.fromkeys(Params().robot.legs, 7.0)), "card")
+    with pytest.raises(BagError, match=r"robot\.offset = \[7\.0, 7\.0, 7\.0, 7\.0\]"):
         card.plan(1, None)
 
 
