@@ -7,7 +7,7 @@ belongs to one tick is put together by what the messages say, not by the order t
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -163,11 +163,23 @@ class Bag:
         for world in WORLDS:
             legs = legs_of(world, self.params)
             if any(self._name(topics.joint_states(leg)) in self.connections for leg in legs):
-                return world
+                if not self._other_legs(legs):
+                    return world
+                break  # a robot of which these are some, and what the others did would be lost
         raise BagError(
             f"{self.path} has legs of other names than {', '.join(self.params.robot.legs)}; the "
             "robot's parameter file, by --params, would be right"
         )
+
+    def _other_legs(self, legs: Sequence[str]) -> list[str]:
+        """Return the names of legs in the robot's own namespace that are none of these."""
+        prefix, found = self._name(topics.CLOCK).removesuffix(topics.CLOCK.name), []
+        for topic in self.connections:
+            leg, _, what = topic.removeprefix(prefix).rpartition("/")
+            own = topic.startswith(prefix) and "/" not in leg and what == "joint_states"
+            if own and leg not in legs and self._name(topics.contact(leg)) in self.connections:
+                found.append(leg)
+        return found
 
     def _needed(self) -> list[topics.Topic]:
         makers = (topics.joint_states, topics.contact, topics.command)
