@@ -27,7 +27,8 @@ from ember_ros.errors import BagError, ParameterError, SignalError
 from ember_ros.params import Params
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.spinning import main_of
-from sim_node.worlds import WORLDS, legs_of
+from leg_node.assembly import numbers_of
+from sim_node.worlds import WORLDS, legs_of, stage_of
 
 WATCH_S = 0.1
 SAY_S = 5.0  # wall time between two lines of progress
@@ -149,7 +150,7 @@ class _Ear:
         before = [tick for tick in ticks[: self._told_by or 0] if tick is not None]
         told_at = max(before, default=-1)
         card, table, wrong = self._inquiry.card(world, first)
-        numbers = card.params.walk if world == "walker" else card.params.train
+        numbers = numbers_of(card.params, stage_of(world))
         if table is not None and told_at + 1 >= numbers.sync_every:
             wrong.append("the table was asked for when legs had already learnt into it")
             card, table = card.without_table(), None
