@@ -191,8 +191,8 @@ def test_who_looks_on_changes_nothing(
         assert [c.sec * 10**9 + c.nanosec for c in clock] == [
             n * TICK_NS for n in range(CYCLES * TICKS)
         ]
-        assert [message.data for message in heard["cpg/phase"]] == [
-            n / TICKS for n in range(CYCLES * TICKS)
+        assert [message.position.tolist() for message in heard["cpg/phase"]] == [
+            [n / TICKS] for n in range(CYCLES * TICKS)
         ]
         assert heard["odometry"]
         assert {m.header.frame_id for m in heard["odometry"]} == {"odom"}
