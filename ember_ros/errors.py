@@ -14,6 +14,7 @@ PIP = {
     "matplotlib": "matplotlib",
     "mcap": "mcap",
     "numpy": "numpy",
+    "pandas": "pandas",
     "pybullet": "pybullet",
     "rich": "rich",
     "rosbags": "'rosbags<0.12'",
@@ -21,7 +22,7 @@ PIP = {
     "yaml": "PyYAML",
 }
 """What pip calls the libraries that may be missing, by the name they are imported under."""
-APT = ("click", "matplotlib", "numpy", "rich", "scipy", "yaml")
+APT = ("click", "matplotlib", "numpy", "pandas", "rich", "scipy", "yaml")
 """Those of them that Ubuntu has as well, each as ``python3-<name>``."""
 
 _SHORT = reprlib.Repr()
@@ -62,6 +63,10 @@ class ParameterError(EmberError):
 
 class TableError(EmberError):
     """A Q-table file is missing, damaged, or was learnt with another meaning of its cells."""
+
+
+class RunError(EmberError):
+    """A folder holds no finished run, or a run nothing of what is asked of it."""
 
 
 class PushError(EmberError):

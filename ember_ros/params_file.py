@@ -44,17 +44,20 @@ def config_names() -> list[str]:
     return sorted(file.stem for file in CONFIG.glob("*.yaml"))
 
 
-def load_params(*files: Path | str, settings: Sequence[str] = ()) -> Params:
+def load_params(
+    *files: Path | str, settings: Sequence[str] = (), base: Params | None = None
+) -> Params:
     """Read parameter files, each its section ``/**``; what a later one says wins.
 
     Args:
         files: paths, or names of files that come with the package (``plain``, ``narrow``).
         settings: ``group.field=value`` each, on top of the files.
+        base: below the files; the defaults for None.
 
     Raises:
         ParameterError: one is missing, no YAML, of another form, or names or values are wrong.
     """
-    params = Params()
+    params = base or Params()
     before: set[str] = set()
     for file in map(Path, files):
         own = CONFIG / f"{file}.yaml"

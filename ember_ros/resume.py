@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
-from ember_ros.errors import ParameterError, TableError
-from ember_ros.params import Params, by_full_name, replace
+from ember_ros.errors import ParameterError
+from ember_ros.params import Params
 from ember_ros.plan import Plan
 from ember_ros.run import SUMMARY, TABLE
 from leg_node.policy import epsilon_at
-from leg_node.table_file import load_about, load_table, told_differences
+from leg_node.table_file import load_about, load_table, params_of, told_differences
 
 
 def resumed(run: Path, world: str) -> tuple[int, Params]:
@@ -38,13 +37,7 @@ def resumed(run: Path, world: str) -> tuple[int, Params]:
             f"{run} does not say how many cycles it came to; --table {run / TABLE} starts from its "
             "table at cycle 0"
         )
-    stored: Any = about.get("params")
-    try:
-        return cycle, replace(Params(), by_full_name(stored))
-    except (ParameterError, AttributeError) as error:
-        raise TableError(
-            f"{run / TABLE} has other parameters than this version: {error}"
-        ) from error
+    return cycle, params_of(run / TABLE, about)
 
 
 def beginning(plan: Plan) -> list[str]:

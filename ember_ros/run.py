@@ -36,10 +36,12 @@ from ember_ros.report.recorder import (
     Record,
     Recorder,
     load_record,
+    save_record,
 )
 from ember_ros.spinning import prepare_environment
 from ember_ros.versions import provenance, versions
 from leg_node.journal import ENDINGS
+from leg_node.table import Table
 from leg_node.table_file import load_table, save_table
 
 WAYS = ("loop", "graph", "processes")
@@ -89,21 +91,76 @@ def run(
             is writing into ``out``.
     """
     where = provenance()
-    if plan.table:
-        load_table(plan.table, plan.params)  # say what is wrong with it before anything starts
+    # Before anything starts: say what is wrong with it.
+    start = load_table(plan.table, plan.params)[0].sha256() if plan.table else None
     if bag is not None and bag.folder.absolute() == out.absolute():
         raise ParameterError(f"{out} is to hold the run; another folder would be right for the bag")
     if bag is not None:
         make_folder(bag.folder)  # say what is wrong with it before anything is replaced
         bag.folder.rmdir()
+    _make(out)
+    with _alone_in(out):
+        if not replace:
+            _refuse(out)
+        return _run(plan, way, out, go_on, command, bag, namespace, where, start)
+
+
+def keep(
+    plan: Plan,
+    out: Path,
+    record: Record,
+    table: Table,
+    *,
+    command: str,
+    where: dict[str, str],
+    start: str | None,
+    replace: bool = False,
+) -> dict[str, Any]:
+    """Write a run of the direct loop that was kept in memory, as ``run`` would have left it.
+
+    Args:
+        plan: what was run.
+        out: a folder, made if need be.
+        record: of the run.
+        table: what was learnt.
+        command: what was called, for the summary.
+        where: ``versions.provenance`` of the run.
+        start: SHA-256 of the table that it started from; None of an empty one.
+        replace: whether an earlier run in ``out`` may be replaced.
+
+    Returns:
+        The summary.
+
+    Raises:
+        EmberError: the folder cannot be written, holds an earlier run, or another run is writing
+            into it.
+    """
+    _make(out)
+    summary = _summary(plan, "loop", record, table.sha256(), command, where, start)
+    with _alone_in(out):
+        if not replace:
+            _refuse(out)
+        _set_aside(out, None)
+        try:
+            notes = {"cycle": plan.start_cycle + summary["cycles"]}
+            save_table(out / TABLE, table, plan.params, plan.seed, notes)
+            _write_summary(out, summary)
+            save_record(out, record)
+        except OSError as error:
+            _settle(out)
+            raise ParameterError(f"cannot write into {out}: {error.strerror}") from error
+        except BaseException:
+            _settle(out)
+            raise
+        shutil.rmtree(out / EARLIER)
+    return summary
+
+
+def _make(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ParameterError(f"cannot make the folder {out}: {error.strerror}") from error
-    with _alone_in(out):
-        if not replace:
-            _refuse(out)
-        return _run(plan, way, out, go_on, command, bag, namespace, where)
 
 
 def refuse_to_replace(out: Path) -> None:
@@ -220,6 +277,7 @@ def _run(
     bag: BagOptions | None,
     namespace: str,
     where: dict[str, str],
+    start: str | None,
 ) -> tuple[Record, dict[str, Any]]:
     if way != "loop":
         prepare_environment()
@@ -238,8 +296,30 @@ def _run(
         )
     shutil.rmtree(out / EARLIER)
     record = load_record(out)
-    ticks = plan.cycles * plan.params.gait.ticks
-    summary = {
+    learnt = load_table(out / TABLE, plan.params)[0].sha256()
+    summary = _summary(plan, way, record, learnt, command, where, start)
+    if bag is not None:
+        facts = {"planned_cycles": str(plan.cycles)}
+        # A graph that is stopped leaves open which legs had the last tick: then nobody can say
+        # which table a replay must end with.
+        if summary["complete"] or way == "loop":
+            facts["table_sha256"] = summary["table_sha256"]
+        seal(bag.folder, **facts)
+    _write_summary(out, summary)
+    return record, summary
+
+
+def _summary(
+    plan: Plan,
+    way: str,
+    record: Record,
+    learnt: str,
+    command: str,
+    where: dict[str, str],
+    start: str | None,
+) -> dict[str, Any]:
+    """Return what ``summary.json`` says; ``learnt`` and ``start`` are SHA-256 of tables."""
+    return {
         "command": command,
         "on": way,
         "world": plan.world,
@@ -249,23 +329,19 @@ def _run(
         "start_cycle": plan.start_cycle,
         "planned_cycles": plan.cycles,
         "start_table": str(plan.table) if plan.table else None,
+        "start_table_sha256": start,
         **record.measured,
-        "complete": len(record.traces) == ticks,
-        "table_sha256": load_table(out / TABLE, plan.params)[0].sha256(),
+        "complete": len(record.traces) == plan.cycles * plan.params.gait.ticks,
+        "table_sha256": learnt,
         "parts": as_dict(plan.params)["parts"],
         "params_sha256": params_sha256(plan.params),
         "versions": versions(),
         "provenance": where,
     }
-    if bag is not None:
-        facts = {"planned_cycles": str(plan.cycles)}
-        # A graph that is stopped leaves open which legs had the last tick: then nobody can say
-        # which table a replay must end with.
-        if summary["complete"] or way == "loop":
-            facts["table_sha256"] = summary["table_sha256"]
-        seal(bag.folder, **facts)
+
+
+def _write_summary(out: Path, summary: dict[str, Any]) -> None:
     (out / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    return record, summary
 
 
 def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str) -> None:

@@ -144,7 +144,10 @@ def make_leg(
     learner = _make_learner(params, numbers, discretizer, copy.table, seed, position)
     if isinstance(policy, str):
         rng = generator(seed, position)
-        made: Policy = _policy_of(policy)(params, numbers, learner.q_values, rng, start_cycle)
+        given = (params, numbers, learner.q_values, rng, start_cycle)
+        made: Policy = parts.build(
+            _policy_of(policy), "policy", f"policy = {shown(policy)}", *given
+        )
     else:
         made = policy
     return LegModule(

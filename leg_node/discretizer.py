@@ -15,7 +15,10 @@ from ember_ros.signals import LegSense
 
 
 class Discretizer(Protocol):
-    """A partition of what a leg senses, made with ``(params)``."""
+    """A partition of what a leg senses, made with ``(params)``.
+
+    A class may set ``names``, one for each axis: whoever shows the table uses them.
+    """
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -48,6 +51,8 @@ class PaperDiscretizer:
     Total: any finite sense has exactly one state, since the outer bins are open.
     """
 
+    names = ("hip", "force", "inclination", "swing", "hair")
+    """Of the axes; along swing, 0 is stance and 1 is swing."""
     neighbours = (True, True, True, False, True)
     """Of hip, force, inclination, swing and hair: stance and swing are not alike."""
 

@@ -18,9 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ember_ros
-from ember_ros.errors import TableError, shown
+from ember_ros.errors import ParameterError, TableError, shown
 from ember_ros.given import open_file, read_json
-from ember_ros.params import MOST_CELLS, Params, as_dict, by_full_name, cells_sha256, params_sha256
+from ember_ros.params import (
+    MOST_CELLS,
+    Params,
+    as_dict,
+    by_full_name,
+    cells_sha256,
+    params_sha256,
+    replace,
+)
 from ember_ros.shipped import TABLE, shipped_table
 from leg_node.assembly import empty_table
 from leg_node.table import Table
@@ -129,15 +137,46 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
         ) from error
     if not np.isfinite(table.values).all() or (table.visits < 0).any():
         raise TableError(f"{file} holds values that are not finite or visits under 0")
-    if about.get("cells_sha256") != cells_sha256(params):
-        raise TableError(
-            f"{file} was learnt with another partition of the state, other knee speeds, another "
-            "stance share or other parts (state.*, leg.load, leg.knee_speeds, gait.stance_share, "
-            "parts.*); load it with the parameters it was learnt with"
-        )
+    hold_meaning(str(file), about.get("cells_sha256"), params)
     if about.get("table_sha256") != table.sha256():
         raise TableError(f"{file} is damaged: its content does not have the SHA-256 it names")
     return table, about
+
+
+def hold_meaning(what: str, cells: Any, params: Params) -> None:
+    """Hold that the cells of a table mean what parameters say.
+
+    Args:
+        what: the table, for the error.
+        cells: ``params.cells_sha256`` of the parameters that it was learnt with.
+        params: in force.
+
+    Raises:
+        TableError: they mean something else.
+    """
+    if cells != cells_sha256(params):
+        raise TableError(
+            f"{what} was learnt with another partition of the state, other knee speeds, another "
+            "stance share or other parts (state.*, leg.load, leg.knee_speeds, gait.stance_share, "
+            "parts.*); load it with the parameters it was learnt with"
+        )
+
+
+def params_of(file: Path, about: Mapping[str, Any]) -> Params:
+    """Return the parameters that a table was learnt with.
+
+    Args:
+        file: of the table.
+        about: what it says of itself.
+
+    Raises:
+        TableError: they are missing, or are not those of this version.
+    """
+    stored: Any = about.get("params")
+    try:
+        return replace(Params(), by_full_name(stored))
+    except (ParameterError, AttributeError) as error:
+        raise TableError(f"{file} has other parameters than this version: {error}") from error
 
 
 def load_about(file: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ember_ros import parts
-from ember_ros.errors import ParameterError
+from ember_ros.errors import ParameterError, shown
 from ember_ros.params import TRAINER_LEG, Params
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def make_world(world: str, params: Params, seed: int, *, gui: bool = False) -> W
     """
     spec = spec_of(world)
     try:
-        made: World = parts.find(spec.path, "world")(params, seed=seed, gui=gui)
+        found = parts.find(spec.path, "world")
     except ParameterError as error:
         why = error.__cause__
         if isinstance(why, ModuleNotFoundError) and why.name == "pybullet":
@@ -85,4 +85,5 @@ def make_world(world: str, params: Params, seed: int, *, gui: bool = False) -> W
                 "elsewhere it compiles for minutes)"
             ) from why
         raise
+    made: World = parts.build(found, "world", f"world = {shown(world)}", params, seed=seed, gui=gui)
     return made

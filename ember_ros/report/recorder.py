@@ -180,9 +180,7 @@ class Recorder:
         if self._file is not None and self._folder is not None:
             self._file.close()
             self._file = None
-            text = json.dumps(self.summary(), indent=2) + "\n"
-            (self._folder / MEASURED).write_text(text, encoding="utf-8")
-            np.save(self._folder / TRACES, np.frombuffer(self.traces).reshape(-1, len(TRACE)))
+            _save_measured(self._folder, self.record())
 
     def _end_tick(
         self,
@@ -275,6 +273,11 @@ class Recorder:
         """Return the body's lines, one a cycle."""
         return self.rows[len(self._legs) :: len(self._legs) + 1]
 
+    def record(self) -> Record:
+        """Return the record as it is now."""
+        traces = np.frombuffer(self.traces).reshape(-1, len(TRACE)).copy()
+        return Record(list(self.rows), traces, self.summary())
+
     def summary(self) -> dict[str, Any]:
         """Return what ``summary.json`` says of the run itself: plain numbers by name."""
         rows = self.body_rows()
@@ -310,6 +313,25 @@ class Record(NamedTuple):
     def body_rows(self) -> list[Row]:
         """Return the body's lines, one a cycle."""
         return [row for row in self.rows if row.module == BODY]
+
+
+def save_record(folder: Path, record: Record) -> None:
+    """Write a finished record as a recorder leaves it; the lines a cycle come last.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    _save_measured(folder, record)
+    with (folder / CYCLES).open("w", newline="", encoding="utf-8") as file:
+        lines = csv.writer(file)
+        lines.writerow(Row._fields)
+        lines.writerows(record.rows)
+
+
+def _save_measured(folder: Path, record: Record) -> None:
+    text = json.dumps(record.measured, indent=2) + "\n"
+    (folder / MEASURED).write_text(text, encoding="utf-8")
+    np.save(folder / TRACES, record.traces)
 
 
 def load_record(folder: Path) -> Record:
