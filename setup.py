@@ -26,11 +26,9 @@ setup(
     # by `ember` from the package, and by `ros2 run` from share/; data/ by both from the package.
     include_package_data=False,
     package_data={
-        "ember_ros": ["py.typed", "config/*.yaml"],
+        "ember_ros": ["config/*.yaml", "py.typed"],
         "ember_ros.data": ["*", "walk/*"],
-        "sim_node": ["py.typed"],
-        "leg_node": ["py.typed"],
-        "cpg_node": ["py.typed"],
+        **{room: ["py.typed"] for room in ("sim_node", "leg_node", "cpg_node")},
     },
     data_files=[
         ("share/ament_index/resource_index/packages", ["ember_ros/resource/ember_ros"]),

@@ -47,9 +47,9 @@ ROSDEP = {
     "scipy": "python3-scipy",
     "yaml": "python3-yaml",
 }
-# Imported only by `ember` verbs that say how to install them: the extra `bags`, in which mcap
-# brings lz4 and zstandard.
-OPTIONAL = {"lz4", "mcap", "rosbags", "zstandard"}
+# Imported only by what says how to install them: the extra `bags`, in which mcap brings lz4 and
+# zstandard, and the extra `notebook`.
+OPTIONAL = {"lz4", "mcap", "pandas", "rosbags", "zstandard"}
 
 
 @pytest.fixture
