@@ -23,10 +23,10 @@ SMOOTH = 50
 
 def canvas(rows: int, columns: int = 1, width: float = 9.0, height: float = 3.0) -> Any:
     """Return a figure ``width`` inches wide and its axes, ``(rows, columns)``."""
-    from matplotlib.figure import Figure
+    from ember_ros.report.picture import Picture
 
     # Not by pyplot, which would keep the figure and choose how a notebook draws its own.
-    figure = Figure(figsize=(width, height * rows), layout="constrained")
+    figure = Picture(figsize=(width, height * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
     for axis in axes.flat:
         axis.spines[["top", "right"]].set_visible(False)
