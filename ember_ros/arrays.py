@@ -218,7 +218,7 @@ class Collector:
             record: of the same run, for the pose of the body.
         """
         legs, count = self._legs, len(self._phases)
-        every = np.frombuffer(bytes(self._data), self._layout.dtype).reshape(count, legs)
+        every = np.frombuffer(self._data, self._layout.dtype).reshape(count, legs)
         floats, flags, command = every["floats"], every["flags"], every["command"]
         terms = {name: _later(every["terms"][:, :, n]) for n, name in enumerate(self._names)}
         reward = np.zeros((count, legs))
