@@ -23,6 +23,7 @@ from ember_ros.params_file import load_params
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import Recorder
 from ember_ros.result import QTable, Run, SavedRun, load
+from ember_ros.shipped import shipped_table
 from ember_ros.versions import provenance
 from leg_node.assembly import BLIND
 from leg_node.table_file import hold_meaning
@@ -35,9 +36,6 @@ GivenPart: TypeAlias = "str | Callable[..., Any] | None"
 """A class, or its dotted path; None for the one that the parameters name."""
 GivenTable: TypeAlias = "SavedRun | QTable | str | Path | None"
 """A run, for what it learnt; a table; a table's file by its path or name; None for nothing."""
-
-TABLES = Path(__file__).parent / "tables"
-"""Where tables lie that come with the package, each found by its name."""
 
 
 def train(
@@ -236,9 +234,7 @@ def _start(table: GivenTable) -> tuple[QTable | None, Path | None]:
         return table.table, None
     if not isinstance(table, (str, Path)):
         raise TableError(f"table = {shown(table)}: a path, a run, a QTable or None would be right")
-    file = Path(table)
-    named = TABLES / f"{table}.npz"
-    file = named if not file.exists() and named.is_file() else file
+    file = shipped_table(Path(table))
     return QTable.load(file), file
 
 

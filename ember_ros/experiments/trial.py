@@ -51,7 +51,7 @@ CENTRAL = "central"
 TABLE, MEASURES, CYCLES = "table.npz", "trial.json", "cycles.npz"
 COLUMNS = tuple(name for name in Row._fields if name not in ("cycle", "module"))
 DECIDES = (
-    *("ember_ros", "ember_ros.kinematics", "ember_ros.loop", "ember_ros.params"),
+    *("ember_ros.kinematics", "ember_ros.loop", "ember_ros.params"),
     *("ember_ros.phase", "ember_ros.plan", "ember_ros.randomness", "ember_ros.signals"),
     *("ember_ros.experiments.central", "ember_ros.experiments.trial", "ember_ros.report.recorder"),
     *("cpg_node.cpg", "leg_node.assembly", "leg_node.discretizer", "leg_node.gait"),
