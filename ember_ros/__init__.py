@@ -84,15 +84,6 @@ _HOMES = {
 """The modules that the names come from."""
 
 
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("ember_ros")
-    except PackageNotFoundError:  # a bare checkout on the path
-        return "unknown"
-
-
 if not TYPE_CHECKING:  # a type checker would take any name for one of these
 
     def __getattr__(name: str) -> "Any":
@@ -100,7 +91,9 @@ if not TYPE_CHECKING:  # a type checker would take any name for one of these
         import importlib
 
         if name == "__version__":
-            found = _version()
+            from ember_ros.versions import version
+
+            found = version()
         else:
             homes = [home for home, names in _HOMES.items() if name in names.split()]
             if not homes:

@@ -14,12 +14,10 @@ import threading
 import time
 from pathlib import Path
 
-import ember_ros
-
 STOP_S = 20.0
 """Wall time a process may take to stop before it is killed."""
 AGAIN_S = 1.0
-_ROOM = str(Path(ember_ros.__file__).resolve().parents[1])  # last: it may be a bare checkout
+_ROOM = str(Path(__file__).resolve().parents[1])  # last: it may be a bare checkout
 
 
 def command_of(module: str, *, begin: str = "") -> list[str]:

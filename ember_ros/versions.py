@@ -11,15 +11,21 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import ember_ros
-
 GIT_S = 10.0
 """Wall time that git may take."""
 
 
+def version() -> str:
+    """Return the version of this package; ``unknown`` in a bare checkout on the path."""
+    try:
+        return importlib.metadata.version("ember_ros")
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
 def versions() -> dict[str, str]:
     """Return the versions of what a run's bits depend on."""
-    found = {"ember_ros": ember_ros.__version__, "python": platform.python_version()}
+    found = {"ember_ros": version(), "python": platform.python_version()}
     for name in ("numpy", "pybullet", "rclpy"):
         try:
             found[name] = importlib.metadata.version(name)
@@ -52,7 +58,7 @@ def _here() -> dict[str, str]:
         "cpu": _cpu(),
         "simd": " ".join(names) or "unknown",
         "blas": " ".join(" ".join(str(each) for each in said if each).split()) or "unknown",
-        "commit": _commit(Path(ember_ros.__file__)),
+        "commit": _commit(Path(__file__)),
     }
 
 

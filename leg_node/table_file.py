@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import ember_ros
 from ember_ros.errors import ParameterError, TableError, shown
 from ember_ros.given import open_file, read_json
 from ember_ros.params import (
@@ -30,6 +29,7 @@ from ember_ros.params import (
     replace,
 )
 from ember_ros.shipped import TABLE, shipped_table
+from ember_ros.versions import version
 from leg_node.assembly import empty_table
 from leg_node.table import Table
 
@@ -59,7 +59,7 @@ def save_table(
     about = {
         **(notes or {}),
         "format": 1,
-        "version": ember_ros.__version__,
+        "version": version(),
         "seed": seed,
         "params": as_dict(params),
         "params_sha256": params_sha256(params),

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import click
 
-import ember_ros
 from ember_ros.cli.codes import INTERRUPTED
 from ember_ros.entry_points import NODES
 from ember_ros.errors import EmberError
+from ember_ros.versions import version
 
 
 class Command(NamedTuple):
@@ -93,7 +93,7 @@ def _say_all_paths() -> None:
 
 
 @click.group(cls=_Ember, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(ember_ros.__version__, prog_name="ember_ros")
+@click.version_option(version(), prog_name="ember_ros")
 def main() -> None:
     """Legs that learn to walk, each a module of its own, on a ROS 2 graph.
 
