@@ -15,7 +15,7 @@ from ember_ros.inbox import Inbox
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.seat import Seated
 from ember_ros.spinning import main_of
-from sim_node.worlds import legs_of
+from ember_ros.worlds import legs_of
 
 
 class CpgNode(Seated, Node):  # type: ignore[misc]

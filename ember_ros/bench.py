@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ember_ros import calls, wire
+from ember_ros import wire
 from ember_ros.bag.storage import BagOptions
 from ember_ros.graph import Graph, processes
 from ember_ros.loop import Loop
@@ -27,10 +27,11 @@ from ember_ros.report.recorder import Recorder
 from ember_ros.run import TABLE
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Pair, Transition
 from ember_ros.versions import provenance, versions
+from ember_ros.worlds import WORLDS, make_world
+from leg_node import calls
 from leg_node.assembly import empty_table
 from leg_node.shared import Push, SharedTable
 from leg_node.table_file import save_table
-from sim_node.worlds import WORLDS, make_world
 
 Say = Callable[[str], None]
 

@@ -28,7 +28,7 @@ from ember_ros.spinning import TURN_S, prepare_environment
 from leg_node.table_file import load_table
 
 if TYPE_CHECKING:
-    from ember_ros.bag.replay import RecordedWorld
+    from ember_ros.offline.replay import RecordedWorld
     from leg_node.table import Table
     from sim_node.world import World
 
@@ -217,7 +217,7 @@ def by_graph(
 ) -> tuple[int, Table]:
     """Run a plan in a recorded world by real leg nodes, a table node and a CPG node.
 
-    It is a ``Runner`` of ``ember_ros.bag.replay``, in any namespace.
+    It is a ``Runner`` of ``ember_ros.offline.replay``, in any namespace.
 
     Raises:
         EmberError: as ``Graph``.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ember_ros.errors import ParameterError
 from ember_ros.params import Params
-from sim_node.worlds import legs_of, spec_of, stage_of
+from ember_ros.worlds import legs_of, spec_of, stage_of
 
 MOST = 2**63 - 1
 """The greatest integer that a ROS parameter holds."""

@@ -12,7 +12,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.task import Future
 
-from ember_ros import calls, topics, wire
+from ember_ros import topics, wire
 from ember_ros.errors import ParameterError, PushError, SignalError
 from ember_ros.inbox import Inbox
 from ember_ros.ros_params import declare_options, declare_params
@@ -20,6 +20,7 @@ from ember_ros.seat import Seated
 from ember_ros.signals import Beat, LegCommand, LegSense
 from ember_ros.spinning import HAND_IN_S, main_of
 from ember_ros.throttle import Throttle
+from leg_node import calls
 from leg_node.assembly import make_leg
 from leg_node.shared import Push
 from leg_node.table_file import load_table, save_table

@@ -13,13 +13,14 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from ember_ros import calls, topics
+from ember_ros import topics
 from ember_ros.errors import EmberError, PushError, TableError
 from ember_ros.params import as_dict, cells_sha256
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.seat import Seated
 from ember_ros.spinning import main_of
 from ember_ros.throttle import Throttle
+from leg_node import calls
 from leg_node.assembly import empty_table, numbers_of
 from leg_node.journal import MOST_PUSHES, Journal, from_json, to_json
 from leg_node.shared import SharedTable

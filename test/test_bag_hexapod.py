@@ -14,11 +14,11 @@ import pytest
 from ember_ros import topics
 from ember_ros.bag.card import Card
 from ember_ros.bag.reading import Bag
-from ember_ros.bag.relearn import relearn
-from ember_ros.bag.replay import by_loop, replay
 from ember_ros.bag.storage import BagOptions
 from ember_ros.errors import BagError
 from ember_ros.graph import Graph, by_graph
+from ember_ros.offline.relearn import relearn
+from ember_ros.offline.replay import by_loop, replay
 from ember_ros.params import Params, replace
 from ember_ros.params_file import load_params
 from ember_ros.plan import Plan

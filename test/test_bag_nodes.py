@@ -21,13 +21,13 @@ from ember_ros.bag.player_node import PlayerNode
 from ember_ros.bag.reading import Bag, Raw
 from ember_ros.bag.recorder_node import RecorderNode
 from ember_ros.bag.recording import Recording, absolute
-from ember_ros.bag.relearn import relearn
 from ember_ros.bag.repair import repair
-from ember_ros.bag.replay import replay
 from ember_ros.bag.storage import BagOptions, BagWriter, read_metadata, size_of
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.graph import Graph
 from ember_ros.loop import Loop
+from ember_ros.offline.relearn import relearn
+from ember_ros.offline.replay import replay
 from ember_ros.params import Params, as_dict, replace
 from ember_ros.plan import Plan
 from ember_ros.signals import LegCommand

@@ -43,11 +43,11 @@ from ember_ros.params import TRAINER_LEG, Params, as_dict, params_sha256, replac
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import BODY, Recorder, Row, load_record
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
+from ember_ros.worlds import legs_of
 from leg_node.assembly import empty_table
 from leg_node.discretizer import PaperDiscretizer
 from leg_node.reward import PaperReward
 from sim_node.fake import FakeWorld
-from sim_node.worlds import legs_of
 from support import bags
 from support.bags import raws_of
 from support.legs import LEGS

@@ -137,7 +137,7 @@ def test_a_replay_needs_no_sine_of_the_c_library() -> None:
     code = (
         "from pathlib import Path\n"
         "from ember_ros.bag.reading import Bag\n"
-        "from ember_ros.bag.replay import replay\n"
+        "from ember_ros.offline.replay import replay\n"
         f"with Bag(Path({str(DATA / BAG)!r})) as bag:\n"
         "    done = replay(bag)\n"
         "print(done.equal, done.ticks, done.table.sha256() == done.recorded_sha256)\n"

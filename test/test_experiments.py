@@ -50,9 +50,9 @@ from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
 from ember_ros.plan import Plan
 from ember_ros.signals import LegCommand, LegSense
+from ember_ros.worlds import make_world
 from leg_node.discretizer import PaperDiscretizer
 from leg_node.table_file import load_table
-from sim_node.worlds import make_world
 from support.command import EMBER, ROOT, child, ember, started
 from support.legs import beat
 from support.waiting import DEADLINE_S, until

@@ -16,13 +16,14 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import SetBool
 
-from ember_ros import calls, topics, wire
+from ember_ros import topics, wire
 from ember_ros.errors import EmberError
 from ember_ros.graph import Graph
 from ember_ros.params import Params, cells_sha256
 from ember_ros.params_file import load_params
 from ember_ros.plan import Plan
 from ember_ros.signals import Beat, LegCommand, LegSense, Pair
+from leg_node import calls
 from leg_node.assembly import empty_table
 from leg_node.shared import LocalCopy, Push, SharedTable
 from leg_node.table_file import save_table

@@ -17,10 +17,10 @@ from ember_ros.params_file import load_params
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import Recorder
 from ember_ros.signals import LegSense
+from ember_ros.worlds import make_world
 from leg_node.assembly import empty_table
 from leg_node.table_file import save_table
 from sim_node.fake import FakeWorld
-from sim_node.worlds import make_world
 from support.gaits import PlainGait
 from support.learning import literally
 from support.legs import LEGS, beat

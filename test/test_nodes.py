@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from cpg_node.node import CpgNode
-from ember_ros import calls, topics, wire
+from ember_ros import topics, wire
 from ember_ros.bag.recorder_node import RecorderNode
 from ember_ros.errors import EmberError, ParameterError, TableError
 from ember_ros.loop import Loop
@@ -28,6 +28,7 @@ from ember_ros.plan import Plan
 from ember_ros.run import SUMMARY
 from ember_ros.signals import Beat, LegSense, Pair
 from ember_ros.spinning import main_of
+from leg_node import calls
 from leg_node.assembly import empty_table, make_leg
 from leg_node.node import LegNode
 from leg_node.shared import Push, SharedTable

@@ -85,8 +85,8 @@ def test_a_bag_of_two_kinds_of_phase_is_read_by_the_stamped_one(tmp_path: Path) 
 def test_transitions_that_do_not_tell_what_came_next_are_left_out(tmp_path: Path) -> None:
     """Of before they did: all else is read, learnt from and replayed; no reward is made up."""
     from ember_ros.bag.reading import Bag
-    from ember_ros.bag.relearn import relearn
-    from ember_ros.bag.replay import replay
+    from ember_ros.offline.relearn import relearn
+    from ember_ros.offline.replay import replay
 
     made = bags.record(tmp_path / "new", small_plan(2))
     tick_ns = made.plan.params.gait.tick_ns
@@ -116,7 +116,7 @@ def test_transitions_that_do_not_tell_what_came_next_are_left_out(tmp_path: Path
 @needs_bags
 def test_the_bag_that_is_kept_is_learnt_from() -> None:
     """A tick's update needs the senses after it, so each leg has one less than its ticks."""
-    from ember_ros.bag.relearn import relearn
+    from ember_ros.offline.relearn import relearn
 
     learnt = relearn([KEPT])
     assert (learnt.ticks, learnt.updates, learnt.skipped) == (96, 4 * 95, 0)
@@ -126,7 +126,7 @@ def test_the_bag_that_is_kept_is_learnt_from() -> None:
 def test_the_bag_that_is_kept_is_replayed_as_far_as_can_be() -> None:
     """Every command comes out again; the table was read with matrix products then, and differs."""
     from ember_ros.bag.reading import Bag
-    from ember_ros.bag.replay import replay
+    from ember_ros.offline.replay import replay
 
     with Bag(KEPT) as bag:
         done = replay(bag)

@@ -18,7 +18,7 @@ ROS = {
     "ember_ros.bag.inquiry",
     "ember_ros.bag.player_node",
     "ember_ros.bag.recorder_node",
-    "ember_ros.calls",
+    "leg_node.calls",
     "ember_ros.ros_params",
     "leg_node.node",
     "leg_node.table_node",
@@ -126,7 +126,7 @@ def test_only_world_files_import_pybullet() -> None:
 
 def test_only_nodes_and_bags_import_what_is_wired() -> None:
     """Names, types and messages: for nodes, for bags, and for what measures them, alone."""
-    wired = {"ember_ros.topics", "ember_ros.wire", "ember_ros.calls", "ember_ros.ros_params"}
+    wired = {"ember_ros.topics", "ember_ros.wire", "leg_node.calls", "ember_ros.ros_params"}
     users = {name for name in SOURCES if wired & set(imports(name))}
     others = {name for name in users - ROS - MEASURES if not name.startswith("ember_ros.bag.")}
     assert others == {"ember_ros.wire"}

@@ -14,12 +14,12 @@ from ember_ros import topics, wire
 from ember_ros.bag.card import Card
 from ember_ros.bag.reading import Bag, Raw
 from ember_ros.bag.recording import absolute
-from ember_ros.bag.relearn import relearn
-from ember_ros.bag.replay import Difference, Replayed, by_loop, replay, verdict
 from ember_ros.bag.storage import BagOptions, read_metadata
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.graph import by_graph
 from ember_ros.loop import Loop
+from ember_ros.offline.relearn import relearn
+from ember_ros.offline.replay import Difference, Replayed, by_loop, replay, verdict
 from ember_ros.params import Params, replace
 from ember_ros.plan import Plan
 from ember_ros.run import run
@@ -173,7 +173,7 @@ def test_a_replay_is_the_run_bit_for_bit(run_of: Callable[[str], Made], name: st
 @pytest.mark.parametrize("world", ["walker", "trainer"])
 def test_a_replay_of_a_real_world_is_the_run(tmp_path: Path, world: str) -> None:
     """What Bullet made of a body that falls is shown again without Bullet, to the same bits."""
-    from sim_node.worlds import make_world
+    from ember_ros.worlds import make_world
 
     narrow = plan(5, world=world, policy="random", walker__hip_half_width=0.02)
     made = record(tmp_path / "bag", narrow, world=make_world(world, narrow.params, narrow.seed))

@@ -20,10 +20,11 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from ember_ros import calls, wire
+from ember_ros import wire
 from ember_ros.errors import PushError, SignalError
 from ember_ros.params import TRAINER_LEG, Params, cells_sha256
 from ember_ros.signals import Beat, LegCommand, LegSense, Pair, Transition
+from leg_node import calls
 from leg_node.assembly import empty_table
 from leg_node.shared import Changes, Push, SharedTable
 from leg_node.table import Table

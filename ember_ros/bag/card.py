@@ -21,8 +21,8 @@ from ember_ros.params import (
     replace,
 )
 from ember_ros.plan import Plan
+from ember_ros.worlds import legs_of, spec_of, stage_of
 from leg_node.table import Table
-from sim_node.worlds import legs_of, spec_of, stage_of
 
 T = TypeVar("T")
 MOST_CHARACTERS = 1 << 20

@@ -14,15 +14,16 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.task import Future
 
-from ember_ros import calls, topics
+from ember_ros import topics
 from ember_ros.bag.card import Card, LegCard
 from ember_ros.bag.recording import absolute
 from ember_ros.errors import EmberError
 from ember_ros.params import SPECS, Params, replace
 from ember_ros.versions import versions
+from ember_ros.worlds import legs_of, spec_of
+from leg_node import calls
 from leg_node.assembly import empty_table
 from leg_node.table import Table
-from sim_node.worlds import legs_of, spec_of
 
 TABLE = topics.PULL.name
 

@@ -25,9 +25,9 @@ from ember_ros.errors import BagError, EmberError, SignalError
 from ember_ros.params import Params
 from ember_ros.shipped import shipped_bag
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
+from ember_ros.worlds import WORLDS, legs_of, stage_of
 from leg_node.assembly import empty_table
 from leg_node.table import Table
-from sim_node.worlds import WORLDS, legs_of, stage_of
 
 
 class Tick(NamedTuple):

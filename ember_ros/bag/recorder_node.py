@@ -27,8 +27,8 @@ from ember_ros.errors import BagError, ParameterError, SignalError
 from ember_ros.params import Params
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.spinning import main_of
+from ember_ros.worlds import WORLDS, legs_of, stage_of
 from leg_node.assembly import numbers_of
-from sim_node.worlds import WORLDS, legs_of, stage_of
 
 WATCH_S = 0.1
 SAY_S = 5.0  # wall time between two lines of progress

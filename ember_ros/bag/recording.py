@@ -20,8 +20,8 @@ from ember_ros import topics, wire
 from ember_ros.bag.card import Card
 from ember_ros.bag.scribe import Sink
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
+from ember_ros.worlds import legs_of
 from leg_node.table import Table
-from sim_node.worlds import legs_of
 
 FLUSH_TICKS = 16
 """Ticks a flush: a quarter of a second at the default period is the most that a kill can cost."""

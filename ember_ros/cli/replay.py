@@ -10,13 +10,13 @@ from typing import Any
 
 import click
 
-from ember_ros.bag import relearn, replay
 from ember_ros.bag.reading import Bag
 from ember_ros.cli import options
 from ember_ros.cli.codes import DIFFERENT, INTERRUPTED
 from ember_ros.cli.keys import space
 from ember_ros.errors import BagError, ParameterError, no_ros
 from ember_ros.graph import by_graph
+from ember_ros.offline import relearn, replay
 from ember_ros.params import SPECS, Params, replace
 from ember_ros.params_file import changed, load_params, read_settings
 from ember_ros.spinning import prepare_environment, stop_signals

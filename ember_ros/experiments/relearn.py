@@ -13,12 +13,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ember_ros.bag.relearn import relearn
 from ember_ros.bag.storage import BagOptions
 from ember_ros.experiments.lab import each_seed, go_on
 from ember_ros.experiments.study import OTHER_SEED, age, numbers, write_page
 from ember_ros.experiments.trial import LOW_M, TILT_RAD, code_sha256
 from ember_ros.experiments.words import Found
+from ember_ros.offline.relearn import relearn
 from ember_ros.params import replace
 from ember_ros.plan import Plan
 from ember_ros.run import run
