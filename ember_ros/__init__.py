@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ember_ros.params import Params
     from ember_ros.result import QTable, Run, SavedRun
     from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Pair, Transition
+    from ember_ros.worlds import World
     from leg_node.assembly import make_leg
     from leg_node.discretizer import Discretizer
     from leg_node.gait import Gait, GaitStep
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from leg_node.reward import RewardFunction
     from leg_node.value import ValueEstimate
     from sim_node.contract import check_world
-    from sim_node.world import World
 
     __version__: str
 
@@ -79,7 +79,7 @@ _HOMES = {
     "leg_node.reward": "RewardFunction",
     "leg_node.value": "ValueEstimate",
     "sim_node.contract": "check_world",
-    "sim_node.world": "World",
+    "ember_ros.worlds": "World",
 }
 """The modules that the names come from."""
 

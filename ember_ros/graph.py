@@ -29,8 +29,8 @@ from leg_node.table_file import load_table
 
 if TYPE_CHECKING:
     from ember_ros.offline.replay import RecordedWorld
+    from ember_ros.worlds import World
     from leg_node.table import Table
-    from sim_node.world import World
 
 PATIENCE_S = 60.0
 """Wall time a graph started here waits for anybody: a busy machine must not change its bits."""

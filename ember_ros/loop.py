@@ -11,13 +11,12 @@ from ember_ros.observer import Observer
 from ember_ros.params import cells_sha256
 from ember_ros.plan import Plan
 from ember_ros.signals import Beat, LegCommand, LegSense
-from ember_ros.worlds import make_world
+from ember_ros.worlds import World, make_world
 from leg_node.assembly import empty_table, make_leg, numbers_of
 from leg_node.module import LegModule
 from leg_node.shared import SharedTable
 from leg_node.table import Table
 from leg_node.table_file import load_table
-from sim_node.world import World
 
 
 def act(shared: SharedTable, leg: LegModule, sense: LegSense, beat: Beat) -> LegCommand:

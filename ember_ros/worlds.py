@@ -1,22 +1,59 @@
-"""The worlds there are, by name; one of your own has a dotted path. Pure until one is made.
+"""What a world is, and which there are by name; one of your own has a dotted path. Pure.
 
-A world is a class made with ``(params, seed=..., gui=...)`` that does what ``sim_node.world.World``
-says; ``sim_node.contract.check_world`` holds one to it. It may say which learning numbers hold in
+A world is a class made with ``(params, seed=..., gui=...)`` that does what ``World`` says; ``sim_node.contract.check_world`` holds one to it. It may say which learning numbers hold in
 it (``stage``, ``walk`` without) and which legs are mounted there (``legs_of(params)``, those of
 ``params.robot`` without).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
 
 from ember_ros import parts
 from ember_ros.errors import ParameterError, shown
 from ember_ros.params import TRAINER_LEG, Params
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense
 
-if TYPE_CHECKING:
-    from sim_node.world import World
+
+class World(Protocol):
+    """A place where legs are mounted.
+
+    ``legs`` names them in the order of all sequences here. Ticks count from 0 and go on over a
+    fall: a world that puts the robot back on its feet marks the next senses with ``restart``.
+    """
+
+    legs: tuple[str, ...]
+    over: bool
+    """True when there is no further tick: a recorded world ends, a simulated one never does."""
+
+    work: float
+    """Mechanical work of the legs' motors so far, J, for reports only; 0 where nobody knows it."""
+
+    def observe(self) -> tuple[LegSense, ...]:
+        """Return what each leg senses at the present tick; calling twice gives the same."""
+        ...
+
+    def step(self, beat: Beat, commands: Sequence[LegCommand | None]) -> None:
+        """Advance by one tick with these commands; a leg with ``None`` holds its joints still.
+
+        Args:
+            beat: of the central pattern generator at the present tick.
+            commands: one a leg, in the order of ``legs``.
+        """
+        ...
+
+    def body(self) -> BodyState:
+        """Return the truth about the body, for reports and viewers only."""
+        ...
+
+    def reset(self) -> None:
+        """Build everything anew, as it was at tick 0."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what the world holds; safe to call twice."""
+        ...
 
 
 class WorldSpec(NamedTuple):

@@ -17,7 +17,7 @@ import numpy as np
 
 from ember_ros.params import Params
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense
-from sim_node.world import World
+from ember_ros.worlds import World
 
 Make = Callable[[], World]
 Step = tuple[tuple[LegSense, ...], BodyState]

@@ -21,10 +21,9 @@ from ember_ros.seat import Seated
 from ember_ros.signals import Beat, LegCommand, Transition
 from ember_ros.spinning import main_of
 from ember_ros.throttle import Throttle
-from ember_ros.worlds import make_world
+from ember_ros.worlds import World, make_world
 from sim_node.recorders import BagObserver, RecorderLink, Waiting
 from sim_node.reports import BodyPublisher, Diagnostics, Lateness
-from sim_node.world import World
 
 FINISHED = "summary.json"  # what `ember` writes last into the folder of a run
 WATCH_S = 0.05  # wall time between looks at who is late

@@ -143,7 +143,7 @@ def test_the_code_that_decides_is_all_that_runs(tmp_path: Path) -> None:
     idle = {"leg_node", "sim_node", "cpg_node", "ember_ros.experiments", "ember_ros.report"}
     # What is said of a trial, errors, two protocols, and a file's format: a table is held by its
     # SHA-256.
-    idle |= {"ember_ros.versions", "sim_node.world", "ember_ros.observer"}
+    idle |= {"ember_ros.versions", "ember_ros.worlds", "ember_ros.observer"}
     idle |= {"leg_node.table_file", "ember_ros.given", "ember_ros.errors"}
     assert house - idle == set(DECIDES)
 

@@ -17,11 +17,10 @@ from ember_ros.params import TRAINER_LEG, Params, replace
 from ember_ros.params_file import load_params
 from ember_ros.plan import Plan
 from ember_ros.signals import BodyState, LegCommand, LegSense
-from ember_ros.worlds import make_world
+from ember_ros.worlds import World, make_world
 from sim_node.contract import check_world
 from sim_node.contract import drive as at_random
 from sim_node.fake import FakeWorld
-from sim_node.world import World
 from support.legs import LEGS, beat
 from support.needs import needs_bullet
 from support.plans import changed

@@ -14,8 +14,8 @@ from ember_ros.loop import Loop
 from ember_ros.plan import Plan
 from ember_ros.shipped import BAG, DATA
 from ember_ros.versions import versions
+from ember_ros.worlds import World
 from sim_node.fake import FakeWorld
-from sim_node.world import World
 
 KEPT = DATA / BAG
 """The bag that comes with the package."""

@@ -12,10 +12,10 @@ from cpg_node.node import CpgNode
 from ember_ros.graph import Graph, node_options
 from ember_ros.params import as_dict
 from ember_ros.plan import Plan
+from ember_ros.worlds import World
 from leg_node.node import LegNode
 from leg_node.table_node import TableNode
 from sim_node.node import SimNode
-from sim_node.world import World
 from support.legs import LEGS
 from support.ros import Ros
 from support.runs import Bits, by_graph
