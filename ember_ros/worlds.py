@@ -1,8 +1,9 @@
 """What a world is, and which there are by name; one of your own has a dotted path. Pure.
 
-A world is a class made with ``(params, seed=..., gui=...)`` that does what ``World`` says; ``sim_node.contract.check_world`` holds one to it. It may say which learning numbers hold in
-it (``stage``, ``walk`` without) and which legs are mounted there (``legs_of(params)``, those of
-``params.robot`` without).
+A world is a class made with ``(params, seed=..., gui=...)`` that does what ``World`` says, to which
+``sim_node.contract.check_world`` holds it. It may say which learning numbers hold in it (``stage``,
+``walk`` without) and which legs are mounted there (``legs_of(params)``, those of ``params.robot``
+without).
 """
 
 from __future__ import annotations
