@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import json
 import math
 import os
@@ -41,6 +42,7 @@ from ember_ros.experiments.trial import (
     DECIDES,
     TABLE,
     Trial,
+    code_sha256,
     done,
     outcome,
     run_trial,
@@ -141,14 +143,40 @@ def test_the_code_that_decides_is_all_that_runs(tmp_path: Path) -> None:
     assert run.returncode == 0, run.stderr
     house = {name for name in run.stdout.split() if name.split(".")[0] in ("ember_ros", *ROOMS)}
     idle = {"leg_node", "sim_node", "cpg_node", "ember_ros.experiments", "ember_ros.report"}
-    # What is said of a trial, errors, two protocols, and a file's format: a table is held by its
-    # SHA-256.
-    idle |= {"ember_ros.versions", "ember_ros.worlds", "ember_ros.observer"}
+    # What is said of a trial, errors, a protocol, a file's format and its place: a table is held by
+    # its SHA-256.
+    idle |= {"ember_ros", "ember_ros.versions", "ember_ros.observer", "ember_ros.shipped"}
     idle |= {"leg_node.table_file", "ember_ros.given", "ember_ros.errors"}
     assert house - idle == set(DECIDES)
 
 
 ROOMS = ("leg_node", "sim_node", "cpg_node")
+
+
+def test_the_code_of_a_part_that_is_named_is_in_the_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another line in a file of one's own, and what was run before is of another trial."""
+    monkeypatch.syspath_prepend(tmp_path)
+    file = tmp_path / "named_in_a_trial.py"
+    params = replace(Params(), {"parts.reward": "named_in_a_trial.Mine"})
+
+    def key(code: str, trial: Trial) -> str:
+        file.write_text(code)
+        importlib.invalidate_caches()
+        code_sha256.cache_clear()
+        return trial.named({})
+
+    for trial in (
+        Trial("walker", 1, 0, params),
+        Trial("walker", 1, 0, policy="named_in_a_trial.Mine"),
+        Trial("named_in_a_trial.Mine", 1, 0),
+    ):
+        first = key("class Mine:\n    a = 1\n", trial)
+        assert key("# a remark\nclass Mine:\n    a = 1\n", trial) == first
+        assert key("class Mine:\n    a = 2\n", trial) != first
+    plain = Trial("walker", 1, 0)
+    assert key("", plain) == key("class Mine: pass\n", plain)
 
 
 def test_a_stopped_trial_leaves_nothing(tmp_path: Path) -> None:

@@ -52,7 +52,8 @@ TABLE, MEASURES, CYCLES = "table.npz", "trial.json", "cycles.npz"
 COLUMNS = tuple(name for name in Row._fields if name not in ("cycle", "module"))
 DECIDES = (
     *("ember_ros.kinematics", "ember_ros.loop", "ember_ros.params"),
-    *("ember_ros.phase", "ember_ros.plan", "ember_ros.randomness", "ember_ros.signals"),
+    *("ember_ros.parts", "ember_ros.phase", "ember_ros.plan", "ember_ros.randomness"),
+    *("ember_ros.signals", "ember_ros.worlds"),
     *("ember_ros.experiments.central", "ember_ros.experiments.trial", "ember_ros.report.recorder"),
     *("cpg_node.cpg", "leg_node.assembly", "leg_node.discretizer", "leg_node.gait"),
     *("leg_node.learner", "leg_node.module", "leg_node.policy", "leg_node.reward"),
@@ -70,13 +71,16 @@ DECIDES = (
 
 
 @functools.cache
-def code_sha256() -> str:
+def code_sha256(*more: str) -> str:
     """Return the SHA-256 of the code that decides: of what it does, not of how it is written.
 
     Comments, docstrings and line ends do not count.
+
+    Args:
+        *more: modules that decide beside those that always do.
     """
     digest = hashlib.sha256()
-    for name in DECIDES:
+    for name in (*DECIDES, *more):
         spec = importlib.util.find_spec(name)
         assert spec is not None
         assert spec.origin is not None
@@ -126,10 +130,19 @@ class Trial:
             self.policy,
             self.learning,
             self.start.named(known) if self.start else None,
-            code_sha256(),
+            code_sha256(*self._own_modules()),
             dict(known),
         ]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
+
+    def _own_modules(self) -> list[str]:
+        """Return the modules of parts that are named by a path and do not always decide.
+
+        What these import in turn is not among them.
+        """
+        paths = [*vars(self.params.parts).values(), self.world, self.policy]
+        named = {path.rpartition(".")[0] for path in paths if "." in path}
+        return sorted(named - set(DECIDES))
 
 
 @dataclass(frozen=True)
