@@ -56,25 +56,25 @@ GOLDEN: dict[str, dict[str, str]] = {
     "plain, trainer": {
         "senses": "f8e9abb12683f3ab0bcb5ee8afb36b5a32cf9438e75bd36a9a89524f5fd378eb",
         "commands": "83e517601e4d2e5288cf9a4c57f3e4c446e514a3c0a58c6ba9ce53a4f45ac8ac",
-        "transitions": "e6f11fcda6b0bf891b49b7f4d28112e13467eacda78e25d49a0817aadfd03c63",
+        "transitions": "acb01f939d2debf3a4d9b0f26ce3c014336697d5fe0bc2360f3893f2d335a6cc",
         "table": "b39cfc78bf78426154e4e682fac5c22a124c0500bb6fecbd098627b91cfac7e7",
     },
     "plain, walker": {
         "senses": "d9f4d3d1b610ada0320a3ac4b0f0dd35583fd2e35f7c06e9d88ac2fa23dfad5b",
         "commands": "ccf803bba15b9a278c885a56696d21b507625a8bfe0aec196b914190c1f116c8",
-        "transitions": "d6ec555ac2738c8d17752eb9e8b4a0ed0a43ca90143b977f1265f23c8e081833",
+        "transitions": "f632076d7bea88b6f96803bd29fb568aee75be778062b0da365b98b1540e2431",
         "table": "796106008a21fe59e4cbe87c6747d1115dc7c9be491066c227639d65ceed9b4f",
     },
     "ember, trainer": {
         "senses": "32068e6c18756b00c0308ffc40f5e27d8da621125d91d40beaf47de9b8de84e9",
         "commands": "2de3075bc1eef968a7a0f0012df34eb8e4d8f65d949953e3b39920b2b1fabaab",
-        "transitions": "4dc0c81a97d8b1925bab6104540ff9ca299d610b0c6c86382a82a795e0729006",
+        "transitions": "8234abc9ce6efb1a98beae6a72f4533c4d22d5cfd71e3096bcb75b143fc3d383",
         "table": "a57110bf8372f34fc11781b399bc57c7744e8f02a5f013eac167b9590f9bf210",
     },
     "ember, walker": {
         "senses": "da4668a48bfeadba7c885b5305b0af8cbb51fb4a3741a2dbabde845fd4704e73",
         "commands": "638ab2a830dac62c43d5940f1e3342fffc5bf8e80f245dd1fba2942448d6a8c2",
-        "transitions": "af058d674ca17683cda7f5b1987b051e2487916b296042940c1b26187761d7e0",
+        "transitions": "cfdeb46e60c87e25ef007dd38460035826441874b2ee51ee63a64a2e27d0ac6c",
         "table": "580703620873142eb657f38ddb24cb6972a9f9e22c81f3317db496ce2cd5738a",
     },
 }

@@ -95,10 +95,13 @@ def test_update_is_a_mean_until_the_floor() -> None:
     bounds=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)).map(sorted),
 )
 def test_update_rule_is_exact(targets: list[float], bounds: list[float]) -> None:
-    """``N += 1; Q += alpha (target - Q)``, 1 / N in its bounds, bit for bit; all else stays."""
+    """``N += 1; Q += alpha (target - Q)``, 1 / N in its bounds, bit for bit; all else stays.
+
+    What is returned is the error: the target less the value before.
+    """
     table, value, rate = Table(3, 2), 0.0, Rate(*bounds)
     for n, target in enumerate(targets, start=1):
-        table.update(3, target, rate)
+        assert table.update(3, target, rate) == target - value
         value += min(rate.ceiling, max(rate.floor, 1.0 / n)) * (target - value)
         assert table.cell(3) == (value, n)
     assert min(0.0, *targets) - 1e-9 <= value <= max(0.0, *targets) + 1e-9
@@ -487,6 +490,31 @@ def test_wrong_content_is_refused_with_its_reason(saved: Path, name: str) -> Non
 def test_another_meaning_of_the_cells(saved: Path, change: dict[str, Any]) -> None:
     """A table of the same size but learnt with other edges, load or speeds is refused."""
     assert "another partition" in refusal(saved, replace(PARAMS, change))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"parts.reward": "mine.Reward"},
+        {"parts.learner": "leg_node.sarsa.SarsaLambda"},
+        {"parts.value": "leg_node.value.TableValues"},
+        {"parts.gait": "mine.Gait"},
+    ],
+)
+def test_another_part_is_told(saved: Path, tmp_path: Path, change: dict[str, Any]) -> None:
+    """What another reward or learner has learnt is refused, and the message says of what."""
+    assert "other parts" in refusal(saved, replace(PARAMS, change))
+    params = replace(PARAMS, change)
+    file = tmp_path / "other.npz"
+    save_table(file, learnt(), params, 3)
+    assert "other parts" in refusal(file)
+    assert load_table(file, params)[0].sha256() == learnt().sha256()
+
+
+def test_another_oscillator_reads_the_same_table(saved: Path) -> None:
+    """A table says what to do at a phase, whoever makes it."""
+    params = replace(PARAMS, {"parts.cpg": "mine.Hopf"})
+    assert load_table(saved, params)[0].sha256() == learnt().sha256()
 
 
 def test_another_number_of_cells(saved: Path) -> None:
