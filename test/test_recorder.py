@@ -145,6 +145,46 @@ def test_the_legs_lines() -> None:
             assert row[7:] == (None,) * 8
 
 
+def test_a_leg_that_says_nothing_has_no_share() -> None:
+    """Whose stance nobody knows has no share of it, and earned nothing; the others' mean stands."""
+    heard = run(TICKS)
+    silent = {
+        n: tick._replace(transitions=(*tick.transitions[:3], None)) for n, tick in enumerate(heard)
+    }
+    rows = record(heard, changed=silent).rows
+    assert rows[3].contact_share is None
+    assert rows[3].reward == 0.0
+    assert rows[3].duty_factor == record(heard).rows[3].duty_factor
+    shares = [row.contact_share for row in rows[:3] if row.contact_share is not None]
+    assert rows[4].contact_share == sum(shares) / 3
+
+
+@pytest.mark.parametrize(
+    ("rate", "cycles"),
+    [
+        (0.5, [(0, 64), (1, 36)]),
+        (2.0, [(n, 16) for n in range(6)] + [(6, 4)]),
+        (48.0, [(n // 2 + n, 1) for n in range(100)]),
+    ],
+)
+def test_cycles_are_those_of_the_phase(rate: float, cycles: list[tuple[int, int]]) -> None:
+    """A phase of half or twice the rate has cycles of twice or half the ticks; some may be passed.
+
+    Each line is of the ticks that were in its cycle.
+    """
+    heard = [tick._replace(beat=Beat(n, rate * n / TICKS)) for n, tick in enumerate(run(100))]
+    recorder = record(heard)
+    rows = recorder.body_rows()
+    assert [row.cycle for row in rows] == [cycle for cycle, _ in cycles]
+    start = 0
+    for row, (_, ticks) in zip(rows, cycles, strict=True):
+        before, after = heard[start].body, heard[start + ticks].body
+        way = (after.x - before.x) * math.cos(0.3) + (after.y - before.y) * math.sin(0.3)
+        assert row.distance_m == pytest.approx(way)
+        start += ticks
+    assert recorder.summary()["cycles"] == len(cycles)
+
+
 def test_contact_share_is_of_stance_only() -> None:
     """Always on the ground is 1, never is 0, and contact in swing does not count."""
     heard = run(TICKS)
@@ -297,6 +337,25 @@ def test_one_bit_of_a_command_changes_the_hash(name: str) -> None:
     assert hashes(one)[0] == hashes(two)[0]
     assert hashes(one)[1] != hashes(two)[1]
     assert one.rows == two.rows
+
+
+@pytest.mark.parametrize("name", [*Transition._fields, "a term"])
+def test_one_bit_of_a_transition_changes_the_hash(name: str) -> None:
+    """Any field, the next state and the error too: only the hash of transitions moves."""
+    heard = run(TICKS)
+    first = heard[9].transitions[0]
+    assert first is not None
+    if name == "a term":
+        (term, value), *rest = first.terms
+        change: dict[str, Any] = {"terms": ((term, next_to(value)), *rest)}
+    elif name == "terms":
+        change = {name: first.terms[:-1]}
+    else:
+        change = {name: next_to(getattr(first, name))}
+    told = (first._replace(**change), *heard[9].transitions[1:])
+    one, two = record(heard), record(heard, changed={9: heard[9]._replace(transitions=told)})
+    assert hashes(one)[:2] == hashes(two)[:2]
+    assert hashes(one)[2] != hashes(two)[2]
 
 
 def test_no_command_is_not_a_command_of_nothing() -> None:
