@@ -16,9 +16,9 @@ from ember_ros.params import TRAINER_LEG, Params
 from ember_ros.params_file import load_params
 from ember_ros.plan import Plan
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense
+from ember_ros.worlds import legs_of, make_world, spec_of, stage_of
 from sim_node.contract import check_world
 from sim_node.fake import FakeWorld
-from sim_node.worlds import legs_of, make_world, spec_of, stage_of
 
 PARAMS = Params()
 Commands = Sequence[LegCommand | None]

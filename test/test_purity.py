@@ -149,7 +149,7 @@ def test_rooms_do_not_know_each_other(room: str) -> None:
     for name in SOURCES:
         if name.startswith(f"{room}."):
             known = {each for each in imports(name) if each.split(".")[0] in others}
-            names = {"sim_node.worlds", "sim_node.worlds.legs_of"}
+            names = {"ember_ros.worlds", "ember_ros.worlds.legs_of"}
             assert known == (names if name == "cpg_node.node" else set()), name
 
 
