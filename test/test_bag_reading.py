@@ -27,6 +27,7 @@ from ember_ros.bag import look
 from ember_ros.bag.card import FORMAT, Card, LegCard, read_card
 from ember_ros.bag.reading import Bag, Raw, Tick
 from ember_ros.bag.recording import FLUSH_TICKS, Recording, crc_of
+from ember_ros.bag.replay import replay
 from ember_ros.bag.storage import (
     INFORMATION,
     METADATA,
@@ -37,9 +38,9 @@ from ember_ros.bag.storage import (
     seal,
 )
 from ember_ros.bag.window import LATE, Window
-from ember_ros.errors import BagError
+from ember_ros.errors import BagError, ParameterError
 from ember_ros.loop import Loop
-from ember_ros.params import TRAINER_LEG, Params, as_dict, params_sha256, replace
+from ember_ros.params import TRAINER_LEG, Params, as_dict, digest, params_sha256, replace
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import BODY, Recorder, Row, load_record
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
@@ -1475,6 +1476,53 @@ def test_info_counts_what_is_there(walked: Run) -> None:
     assert found["card"]["versions"] == {"ember_ros": "test"}
     assert found["card"]["legs"]["rear_left"]["policy"] == "random"
     json.dumps(found)
+
+
+def with_parts(messages: Sequence[Raw], bag: Path, **parts: str) -> Path:
+    """Write a bag whose card names other parts, as it was stored where these are."""
+
+    def change(raw: Raw) -> Raw:
+        if raw.topic != "/run/card":
+            return raw
+        content = json.loads(wire.read_text(raw.data, "card"))
+        content["params"]["parts"] |= parts
+        content["params_sha256"] = digest(content["params"])
+        return raw._replace(data=wire.pack_text(json.dumps(content)))
+
+    return write(bag, map(change, messages))
+
+
+@pytest.mark.parametrize("path", ["no_such_package.Mine", "builtins.exit", "builtins.input"])
+def test_who_looks_into_a_bag_runs_nothing_that_it_names(
+    walked: Run, messages: list[Raw], tmp_path: Path, path: str
+) -> None:
+    """Nor needs it: parts of one's own are where the robot runs, not where its bag is read."""
+    parts = dict.fromkeys(as_dict(PARAMS)["parts"], path)
+    with Bag(with_parts(messages, tmp_path / "bag", **parts)) as opened, Bag(walked.bag) as ours:
+        assert (opened.table is None) == (ours.table is None)
+        assert list(opened.ticks()) == list(ours.ticks())
+        assert look.info(opened)[1] == look.info(ours)[1]
+
+
+@pytest.mark.parametrize(
+    ("path", "says"),
+    [
+        ("no_such_package.Mine", "there is no module 'no_such_package'"),
+        ("builtins.print", "'NoneType' object has no attribute 'shape'"),
+        ("math.pi", "is no class"),
+        ("math.Mine", "cannot be used"),
+    ],
+)
+def test_a_replay_says_which_part_is_not_here(
+    messages: list[Raw], tmp_path: Path, path: str, says: str
+) -> None:
+    """In one line with its name, as wherever a robot is put together."""
+    folder = with_parts(messages, tmp_path / "bag", discretizer=path)
+    with (
+        Bag(folder) as opened,
+        pytest.raises(ParameterError, match=rf"^parts\.discretizer = '{path}'.*{says}"),
+    ):
+        replay(opened)
 
 
 def test_info_counts_what_is_not_there(messages: list[Raw], tmp_path: Path) -> None:

@@ -427,7 +427,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
     "no speeds": (mcap(change=joints(without_speeds)), "0 numbers in velocity; 2, one a name"),
     "a count of what is not there": (
         counted_but_not_there,
-        "messages of /cpg/phase are counted, and 0 are there",
+        r"messages of /\w+/transition are counted, and 0 are there",
     ),
 }
 

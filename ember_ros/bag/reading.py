@@ -26,7 +26,6 @@ from ember_ros.params import Params
 from ember_ros.shipped import shipped_bag
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from ember_ros.worlds import WORLDS, legs_of, stage_of
-from leg_node.assembly import empty_table
 from leg_node.table import Table
 
 
@@ -106,7 +105,6 @@ class Bag:
             self.world = self.card.world if self.card else self._world()
             self.legs = legs_of(self.world, self.params)
             self._check_topics()
-            self._telling = tuple(leg for leg in self.legs if self._tells(leg))
         except BaseException:
             self.close()
             raise
@@ -214,13 +212,14 @@ class Bag:
                     "right"
                 )
 
-    def _tells(self, leg: str) -> bool:
-        """Return whether a leg says what it was paid, in the layout that is read.
+    @functools.cached_property
+    def _telling(self) -> list[str]:
+        """Return which legs say what they were paid, in the layout that is read.
 
-        Before, it did not say what came next: such a bag is read as one of legs that say nothing.
+        Before, none said what came next: such a bag is read as one of legs that say nothing.
         """
-        data = self._one(topics.transition(leg))
-        return data is not None and not wire.is_older_transition(data)
+        first = {leg: self._one(topics.transition(leg)) for leg in self.legs}
+        return [leg for leg, data in first.items() if data and not wire.is_older_transition(data)]
 
     def _read_run(self) -> tuple[Card | None, Table | None]:
         """Return what determined the run, if the bag says so."""
@@ -235,12 +234,16 @@ class Bag:
         values, visits = self._one(topics.VALUES), self._one(topics.VISITS)
         if values is None or visits is None:
             return card, None
-        table = empty_table(card.params)
         try:
-            numbers = wire.read_array(values, "d", where)[2], wire.read_array(visits, "q", where)[2]
-            table.values[:] = np.frombuffer(numbers[0], "<f8")
-            table.visits[:] = np.frombuffer(numbers[1], "<i8")
-        except (SignalError, ValueError) as error:
+            (shape, _, learnt), (_, _, counts) = (
+                wire.read_array(data, code, where) for data, code in ((values, "d"), (visits, "q"))
+            )
+            # Of the size that is said, and not of what the card's parts would make: these may be
+            # missing here, and whoever only looks into a bag runs no code that it names.
+            table = Table(*shape)
+            table.values[:] = np.frombuffer(learnt, "<f8")
+            table.visits[:] = np.frombuffer(counts, "<i8")
+        except (SignalError, ValueError, TypeError) as error:
             raise BagError(f"{self.path}: the table at the start is damaged: {error}") from error
         if table.sha256() != card.start_table_sha256:
             raise BagError(
