@@ -101,7 +101,6 @@ class Interrupts(ModuleType):
         raise AttributeError(name)
 
 
-@pytest.mark.parametrize("way", ["loop", "graph", "processes"])
 @pytest.mark.parametrize(
     "way", ["loop", "graph", pytest.param("processes", marks=pytest.mark.slow)]
 )

@@ -24,7 +24,7 @@ from ember_ros.entry_points import NODES
 from ember_ros.errors import GraphError
 from ember_ros.graph import Graph, Processes, node_options, processes
 from ember_ros.params import Params, as_dict, replace
-from ember_ros.params_file import dump_params
+from ember_ros.params_file import dump_params, load_params
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import load_record
 from ember_ros.seat import TAKEN, TakenError
@@ -65,8 +65,9 @@ def walk(sync_every: int = 32, **options: Any) -> Plan:
         walk(sync_every=48, seed=4),
         walk(sync_every=1, seed=3),
         Plan("trainer", 2 * CYCLES, seed=5),
+        Plan("walker", 4, seed=6, params=load_params("hexapod")),
     ],
-    ids=["walker, the end within an epoch", "walker, one table for all", "trainer"],
+    ids=["walker, the end within an epoch", "walker, one table for all", "trainer", "hexapod"],
 )
 def test_processes_end_with_the_bits_of_the_loop(
     ros: Ros, tmp_path: Path, by_loop: Callable[[Plan], Bits], plan: Plan
