@@ -27,7 +27,6 @@ from ember_ros.bag import look
 from ember_ros.bag.card import FORMAT, Card, LegCard, read_card
 from ember_ros.bag.reading import Bag, Raw, Tick
 from ember_ros.bag.recording import FLUSH_TICKS, Recording, crc_of
-from ember_ros.bag.replay import replay
 from ember_ros.bag.storage import (
     INFORMATION,
     METADATA,
@@ -40,6 +39,7 @@ from ember_ros.bag.storage import (
 from ember_ros.bag.window import LATE, Window
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.loop import Loop
+from ember_ros.offline.replay import replay
 from ember_ros.params import TRAINER_LEG, Params, as_dict, digest, params_sha256, replace
 from ember_ros.plan import Plan
 from ember_ros.report.recorder import BODY, Recorder, Row, load_record
