@@ -1504,6 +1504,24 @@ def test_who_looks_into_a_bag_runs_nothing_that_it_names(
         assert look.info(opened)[1] == look.info(ours)[1]
 
 
+@pytest.mark.parametrize("path", ["no_such_package.Mine", "builtins.exit"])
+def test_who_looks_into_a_bag_runs_no_world_that_it_names(
+    walked: Run, messages: list[Raw], tmp_path: Path, path: str
+) -> None:
+    """Which legs there are is in the card."""
+
+    def change(raw: Raw) -> Raw:
+        if raw.topic != "/run/card":
+            return raw
+        content = json.loads(wire.read_text(raw.data, "card")) | {"world": path}
+        return raw._replace(data=wire.pack_text(json.dumps(content)))
+
+    folder = write(tmp_path / "bag", map(change, messages))
+    with Bag(folder) as opened, Bag(walked.bag) as ours:
+        assert (opened.world, opened.legs, opened.stage) == (path, ours.legs, ours.stage)
+        assert list(opened.ticks()) == list(ours.ticks())
+
+
 @pytest.mark.parametrize(
     ("path", "says"),
     [
