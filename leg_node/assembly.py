@@ -17,6 +17,7 @@ from leg_node.module import LegModule
 from leg_node.policy import POLICIES, Policy
 from leg_node.shared import LocalCopy
 from leg_node.table import Table
+from leg_node.task import LegTask
 
 STAGES = ("train", "walk")
 BLIND = ("scripted", "random")
@@ -97,6 +98,27 @@ def empty_table(params: Params) -> Table:
     return Table(states * _tables(params), len(params.leg.knee_speeds))
 
 
+def make_task(params: Params, leg: str) -> LegTask:
+    """Return a leg without policy and learner: what it knows, is paid, and can do.
+
+    Args:
+        params: every number, and which parts.
+        leg: one of ``robot.legs``, or ``TRAINER_LEG``.
+
+    Raises:
+        ParameterError: there is no such leg or part.
+    """
+    position = position_of(params, leg)
+    offset = 0.0 if leg == TRAINER_LEG else params.robot.offset[position]
+    return LegTask(
+        leg,
+        params,
+        gait=parts.make(params, "gait", params, offset),
+        discretizer=make_discretizer(params),
+        reward=parts.make(params, "reward", params),
+    )
+
+
 def make_leg(
     params: Params,
     leg: str,
@@ -129,8 +151,7 @@ def make_leg(
     """
     numbers = numbers_of(params, stage)
     position = position_of(params, leg)
-    offset = 0.0 if leg == TRAINER_LEG else params.robot.offset[position]
-    discretizer = make_discretizer(params)
+    task = make_task(params, leg)
     reads = isinstance(policy, str) and policy not in BLIND
     shared = shared and (learning or reads)
     copy = LocalCopy(
@@ -141,7 +162,7 @@ def make_leg(
         rate=numbers.rate,
         sync_every=numbers.sync_every if shared else 0,
     )
-    learner = _make_learner(params, numbers, discretizer, copy.table, seed, position)
+    learner = _make_learner(params, numbers, task.discretizer, copy.table, seed, position)
     if isinstance(policy, str):
         rng = generator(seed, position)
         given = (params, numbers, learner.q_values, rng, start_cycle)
@@ -151,11 +172,7 @@ def make_leg(
     else:
         made = policy
     return LegModule(
-        leg,
-        params,
-        gait=parts.make(params, "gait", params, offset),
-        discretizer=discretizer,
-        reward=parts.make(params, "reward", params),
+        task,
         learner=learner,
         policy=made,
         copy=copy,
