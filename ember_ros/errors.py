@@ -11,10 +11,12 @@ from typing import Any
 
 PIP = {
     "click": "click",
+    "gymnasium": "'ember_ros[envs]'",
     "matplotlib": "matplotlib",
     "mcap": "mcap",
     "numpy": "numpy",
     "pandas": "pandas",
+    "pettingzoo": "'ember_ros[envs]'",
     "pybullet": "pybullet",
     "rich": "rich",
     "rosbags": "'rosbags<0.12'",

@@ -15,6 +15,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ember_ros import kinematics
 from ember_ros.errors import ParameterError
 from ember_ros.params import Params, Physics
@@ -39,6 +42,9 @@ def _quiet() -> Iterator[None]:
 with _quiet():
     import pybullet as bullet
 
+
+EYE = (2.5, 50.0, -20.0)
+"""Where the camera is, as seen from the robot: distance, m; yaw and pitch, degrees."""
 
 __all__ = ["BulletWorld", "Ground", "bullet", "set_contact", "set_up"]
 
@@ -192,9 +198,15 @@ class BulletWorld(ABC):
         """Return the truth about the body, for reports and viewers only."""
 
     def _look(self) -> None:
-        """Turn the window's camera, if there is one, to where the robot is."""
-        x, y, z = bullet.getBasePositionAndOrientation(self._robot, self._client)[0]
-        bullet.resetDebugVisualizerCamera(2.5, 50, -20, (x, y, z), physicsClientId=self._client)
+        """Turn the window's camera, if there is one, to where the legs are."""
+        bullet.resetDebugVisualizerCamera(*EYE, self._middle(), physicsClientId=self._client)
+
+    def _middle(self) -> tuple[float, float, float]:
+        """Return the middle between the feet, at half the operating height, m."""
+        feet = self._read_links[: len(self.legs)]
+        at = [state[0] for state in bullet.getLinkStates(self._robot, feet, 0, 0, self._client)]
+        x, y = (sum(place[axis] for place in at) / len(at) for axis in (0, 1))
+        return (x, y, self.params.leg.operating_height / 2)
 
     # -- the verbs ----------------------------------------------------------------------
 
@@ -213,6 +225,24 @@ class BulletWorld(ABC):
     def observe(self) -> tuple[LegSense, ...]:
         """Return what each leg senses at the present tick; calling twice gives the same."""
         return self._senses
+
+    def picture(self, width: int, height: int) -> NDArray[np.uint8]:
+        """Return what a camera sees that follows the robot: ``(height, width, 3)``, RGB.
+
+        Drawn without a window and without OpenGL; it changes nothing that is simulated.
+        """
+        near, far = 0.1, 20.0
+        view = bullet.computeViewMatrixFromYawPitchRoll(self._middle(), *EYE, 0.0, 2)
+        lens = bullet.computeProjectionMatrixFOV(50.0, width / height, near, far)
+        pixels = bullet.getCameraImage(
+            width,
+            height,
+            view,
+            lens,
+            renderer=bullet.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+        )[2]
+        return np.array(pixels, dtype=np.uint8).reshape(height, width, 4)[:, :, :3].copy()
 
     def coast(self, beat: Beat, commands: Sequence[LegCommand | None]) -> None:
         """Advance by one tick and sense nothing: what physics alone costs, for benchmarks."""

@@ -48,8 +48,8 @@ ROSDEP = {
     "yaml": "python3-yaml",
 }
 # Imported only by what says how to install them: the extra `bags`, in which mcap brings lz4 and
-# zstandard, and the extra `notebook`.
-OPTIONAL = {"lz4", "mcap", "pandas", "rosbags", "zstandard"}
+# zstandard, and the extras `notebook` and `envs`.
+OPTIONAL = {"gymnasium", "lz4", "mcap", "pandas", "pettingzoo", "rosbags", "zstandard"}
 
 
 @pytest.fixture
