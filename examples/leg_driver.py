@@ -62,7 +62,7 @@ class Pretended:
 
 
 class HardwareLeg:
-    """The trainer with a real leg: what ``sim_node.world.World`` asks for."""
+    """The trainer with a real leg: what ``ember_ros.worlds.World`` asks for."""
 
     stage = "train"
     legs: tuple[str, ...] = (TRAINER_LEG,)

@@ -10,13 +10,10 @@ import pytest
 from ember_ros.errors import ParameterError
 from ember_ros.params import TRAINER_LEG, Params, replace
 from ember_ros.params_file import load_params
-from ember_ros.randomness import generator
 from ember_ros.signals import LegCommand, LegSense, Pair, Transition
 from leg_node.assembly import empty_table, make_leg, position_of
 from leg_node.discretizer import PaperDiscretizer
-from leg_node.gait import HipRamp
 from leg_node.module import LegModule
-from leg_node.policy import Random
 from leg_node.reward import PaperReward
 from leg_node.table import Table
 from sim_node.fake import FakeWorld
@@ -293,13 +290,9 @@ def remembering(learning: bool = True) -> tuple[LegModule, Remembering]:
     """Return a leg with such a learner, and the learner."""
     learner, like = Remembering(), module(shared=True)
     leg = LegModule(
-        TRAINER_LEG,
-        PARAMS,
-        gait=HipRamp(PARAMS, 0.0),
-        discretizer=PaperDiscretizer(PARAMS),
-        reward=PaperReward(PARAMS),
+        make_task(PARAMS, TRAINER_LEG),
         learner=learner,
-        policy=Random(PARAMS, PARAMS.walk, learner.q_values, generator(0, 0)),
+        policy=like._policy,
         copy=like.copy,
         learning=learning,
         shared=True,

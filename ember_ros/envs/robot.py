@@ -17,9 +17,8 @@ from ember_ros import parts
 from ember_ros.errors import ParameterError, shown
 from ember_ros.params import Params
 from ember_ros.signals import BodyState
+from ember_ros.worlds import World, legs_of, make_world
 from leg_node.assembly import make_task
-from sim_node.world import World
-from sim_node.worlds import legs_of, make_world
 
 RENDER_MODES = ("human", "rgb_array")
 WIDTH, HEIGHT = 480, 320
