@@ -11,7 +11,7 @@ from ember_ros.errors import ParameterError
 from ember_ros.params import TRAINER_LEG, Params, replace
 from ember_ros.params_file import load_params
 from ember_ros.signals import LegCommand, LegSense, Pair, Transition
-from leg_node.assembly import empty_table, make_leg, position_of
+from leg_node.assembly import empty_table, make_leg, make_task, position_of
 from leg_node.discretizer import PaperDiscretizer
 from leg_node.module import LegModule
 from leg_node.reward import PaperReward
@@ -292,7 +292,7 @@ def remembering(learning: bool = True) -> tuple[LegModule, Remembering]:
     leg = LegModule(
         make_task(PARAMS, TRAINER_LEG),
         learner=learner,
-        policy=like._policy,
+        policy=Random(PARAMS, PARAMS.walk, learner.q_values, generator(0, 0)),
         copy=like.copy,
         learning=learning,
         shared=True,
