@@ -10,10 +10,12 @@ import pytest
 from ember_ros.errors import ParameterError
 from ember_ros.params import TRAINER_LEG, Params, replace
 from ember_ros.params_file import load_params
+from ember_ros.randomness import generator
 from ember_ros.signals import LegCommand, LegSense, Pair, Transition
 from leg_node.assembly import empty_table, make_leg, make_task, position_of
 from leg_node.discretizer import PaperDiscretizer
 from leg_node.module import LegModule
+from leg_node.policy import Random
 from leg_node.reward import PaperReward
 from leg_node.table import Table
 from sim_node.fake import FakeWorld
