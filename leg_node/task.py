@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ember_ros.errors import ParameterError
 from ember_ros.params import Params
 from ember_ros.signals import Beat, LegCommand, LegSense, Transition
 from leg_node.discretizer import Discretizer
@@ -63,6 +64,7 @@ class LegTask:
         self.leg = leg
         self.discretizer = discretizer
         self._gait, self._reward = gait, reward
+        self._terms = frozenset(reward.names)
         self._leg = params.leg
         self._lead = params.reward.lead
         self._tick_s = params.gait.tick_s
@@ -107,11 +109,20 @@ class LegTask:
             sense: at the end of the tick.
             state: in which the next tick begins.
             stance: of the next tick.
+
+        Raises:
+            ParameterError: the reward gives a term that is none of its names.
         """
         did = self._pending
         if did is None or sense.restart or did.tick + 1 != sense.tick:
             return self.nothing_to_credit(sense.tick, state, stance)
         applied = self._reward.terms(sense, did.rewarded_as_stance)
+        if not self._terms.issuperset(applied):
+            raise ParameterError(
+                f"parts.reward: {type(self._reward).__name__} gives the terms "
+                f"{', '.join(applied)}; only those of its names, {', '.join(self._reward.names)}, "
+                "would be right: others are not paid"
+            )
         terms = tuple([(name, applied.get(name, 0.0)) for name in self._reward.names])
         return Transition(
             sense.tick, did.state, did.stance, did.action, terms, state, stance, td_error=0.0

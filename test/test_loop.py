@@ -228,6 +228,23 @@ def test_what_is_reported_is_what_was_paid() -> None:
     assert first["reward_by_term"]["fine"] < 0.0 < first["reward_by_term"]["speed"]
 
 
+class Misspelt(PaidForSpeed):
+    """A reward of one's own with a slip of the pen."""
+
+    names = ("sped", "fine")
+
+
+def test_a_term_that_nobody_knows_is_not_left_out_in_silence() -> None:
+    """What would not be paid is told at the first tick that is credited, with the names."""
+    params = replace(PARAMS, {"parts.reward": f"{__name__}.Misspelt"})
+    with looping("fake", 1, params=params) as loop:
+        loop.tick()
+        with pytest.raises(
+            ParameterError, match=r"Misspelt gives the terms speed.*of its names, sped, fine, would"
+        ):
+            loop.tick()
+
+
 @two_worlds
 @pytest.mark.parametrize("sync_every", [1, 7, 32, 1000])
 @pytest.mark.parametrize("extra", [0, 5])
