@@ -126,7 +126,7 @@ def test_a_refused_phase_changes_nothing() -> None:
 
 
 def test_time_may_begin_anew() -> None:
-    """A tick before the last one, or that one again, may have a lesser phase, never a negative."""
+    """A tick before the last one may have a lesser phase, never a negative one."""
     beats = Beats(Listed([0.0, 0.5, 1.0]))
     assert [beats.at(tick).phase for tick in (0, 1, 2, 0, 1)] == [0.0, 0.5, 1.0, 0.0, 0.5]
     beats = Beats(Listed([-0.5, 1.0]))
