@@ -19,7 +19,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from sb3_trainer import Walked, learn, walk
+from sb3_legs import Walked, walk
+from sb3_trainer import learn
 
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
@@ -28,8 +29,8 @@ from ember_ros.versions import provenance, versions
 from leg_node.table import Table
 from leg_node.table_file import save_table
 
-WALK, LOOK = 200, 64
-"""Strides of a walk that is measured, and between two looks at what was learnt on the trainer."""
+LOOK = 64
+"""Strides between two looks at what was learnt on the trainer."""
 GREEDY = replace(Params(), {"train.epsilon_start": 0.0, "train.epsilon_end": 0.0})
 
 
@@ -45,7 +46,7 @@ class Paid:
 
 
 def q_walk(table: Table, world: str, strides: int, seed: int, *, learning: bool) -> Walked:
-    """Let legs with a table walk, as ``sb3_trainer.walk`` lets them with a network."""
+    """Let legs with a table walk, as ``sb3_legs.walk`` lets them with a network."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "table.npz"
         save_table(file, table, GREEDY, seed)
@@ -87,14 +88,14 @@ def measure(seed: int, args: argparse.Namespace) -> dict[str, Any]:
     """Return all figures of a seed."""
     table, q_curve = q_learn(args.q_strides, seed)
     model, norm, watch = learn("trainer", args.strides, args.target, seed, args.cpu_s)
-    frozen = walk(model, norm, "walker", WALK)
+    frozen = walk(model, norm, "walker", args.frozen_strides)
     body = learn("walker", args.walk_strides, math.inf, seed, args.cpu_s, (model, norm))
     on = q_walk(table, "walker", args.walk_strides, seed, learning=True)
     return {
         "seed": seed,
         "q": {
             "curve": q_curve,
-            "frozen": q_walk(table, "walker", WALK, seed, learning=False)._asdict(),
+            "frozen": q_walk(table, "walker", args.frozen_strides, seed, learning=False)._asdict(),
             "falls_learning": on.falls,
             "learning": on._asdict(),
         },
@@ -102,7 +103,7 @@ def measure(seed: int, args: argparse.Namespace) -> dict[str, Any]:
             "curve": watch.curve,
             "frozen": frozen._asdict(),
             "falls_learning": body[2].falls,
-            "learnt_on": walk(body[0], body[1], "walker", WALK)._asdict(),
+            "learnt_on": walk(body[0], body[1], "walker", args.frozen_strides)._asdict(),
         },
     }
 
@@ -128,7 +129,7 @@ def page(result: dict[str, Any]) -> str:
         "",
         "| learner, seed | strides to the target | wall, s | CPU, s | furthest on the trainer, m "
         "| reward there | four frozen copies: m | reward | falls "
-        f"in {WALK} | falls while learning on, {told['walk_strides']} strides |",
+        f"in {told['frozen_strides']} | falls while learning on, {told['walk_strides']} strides |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name in ("q", "ppo"):
@@ -155,6 +156,7 @@ def main() -> None:
     parser.add_argument("--strides", type=int, default=100_000, help="of PPO, at most")
     parser.add_argument("--q-strides", type=int, default=6000, help="of Q-learning, all of them")
     parser.add_argument("--walk-strides", type=int, default=500, help="on the body, learning")
+    parser.add_argument("--frozen-strides", type=int, default=200, help="on the body, frozen")
     parser.add_argument("--cpu-s", type=float, default=900.0, help="of PPO's training, at most")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()

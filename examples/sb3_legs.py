@@ -8,10 +8,12 @@ leg its own observation and reward. Not run by itself; sb3_trainer.py and ppo_ag
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from ember_ros.envs import WalkerEnv
 
@@ -56,3 +58,30 @@ class Legs(VecEnv):  # type: ignore[misc]
 
     def env_is_wrapped(self, wrapper: Any, indices: Any = None) -> list[bool]:
         return [False] * self.num_envs
+
+
+class Walked(NamedTuple):
+    """What came of a walk, its first quarter left out but for falls."""
+
+    m: float
+    """Ahead, a stride."""
+    reward: float
+    """A tick, mean over legs."""
+    falls: int
+
+
+def walk(model: PPO, norm: VecNormalize, world: str, strides: int) -> Walked:
+    """Let the policy as it is walk by its best actions."""
+    legs = Legs(world)
+    seen, ways, rewards = legs.reset(), [], []
+    for _ in range(strides):
+        begin = legs.env.body
+        for _ in range(legs.env.params.gait.ticks):
+            actions, _ = model.predict(norm.normalize_obs(seen), deterministic=True)
+            seen, reward, *_ = legs.step(actions)
+            rewards.append(reward.mean())
+        end, yaw = legs.env.body, begin.yaw
+        ways.append((end.x - begin.x) * math.cos(yaw) + (end.y - begin.y) * math.sin(yaw))
+    legs.close()
+    late, late_ticks = ways[strides // 4 :], rewards[len(rewards) // 4 :]
+    return Walked(float(np.mean(late)), float(np.mean(late_ticks)), end.falls)

@@ -15,41 +15,14 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
-from sb3_legs import Legs
+from sb3_legs import Legs, walk
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
-
-
-class Walked(NamedTuple):
-    """What came of a walk, its first quarter left out but for falls."""
-
-    m: float
-    """Ahead, a stride."""
-    reward: float
-    """A tick, mean over legs."""
-    falls: int
-
-
-def walk(model: PPO, norm: VecNormalize, world: str, strides: int) -> Walked:
-    """Let the policy as it is walk by its best actions."""
-    legs = Legs(world)
-    seen, ways, rewards = legs.reset(), [], []
-    for _ in range(strides):
-        begin = legs.env.body
-        for _ in range(legs.env.params.gait.ticks):
-            actions, _ = model.predict(norm.normalize_obs(seen), deterministic=True)
-            seen, reward, *_ = legs.step(actions)
-            rewards.append(reward.mean())
-        end, yaw = legs.env.body, begin.yaw
-        ways.append((end.x - begin.x) * math.cos(yaw) + (end.y - begin.y) * math.sin(yaw))
-    legs.close()
-    late, late_ticks = ways[strides // 4 :], rewards[len(rewards) // 4 :]
-    return Walked(float(np.mean(late)), float(np.mean(late_ticks)), end.falls)
 
 
 class UntilItWalks(BaseCallback):  # type: ignore[misc]

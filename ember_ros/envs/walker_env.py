@@ -97,7 +97,9 @@ class WalkerEnv(ParallelEnv):  # type: ignore[misc]
         """Return the truth about the body, for reports."""
         return self._robot.body
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Told, Told]:
         """Begin at tick 0; there are no options.
 
         Returns:
