@@ -11,9 +11,9 @@ from ember_ros.entry_points import NODES, run_node
 @click.argument("name", type=click.Choice(list(NODES)), metavar="NAME")
 @click.argument("args", nargs=-1, type=click.UNPROCESSED, metavar="[--ros-args ...]")
 def node_command(name: str, args: tuple[str, ...]) -> None:
-    """Start one node in this process, as `ros2 run ember_ros NAME` does.
+    """Start one node: sim_node, leg_node, cpg_node, table_node, recorder_node.
 
-    NAME is sim_node, leg_node, cpg_node, table_node or recorder_node.
+    It runs in this process, as with `ros2 run ember_ros NAME`.
 
     \b
     ember node sim_node --help       what it is, and its parameters
