@@ -55,7 +55,10 @@ from sim_node.fake import FakeWorld
 from support.plans import TINY as PARAMS
 
 LIMIT_S, LIMIT_MB = 10.0, 300.0
-"""What one mutant may cost: time, and growth of the resident memory."""
+"""What one mutant may cost: CPU time, whatever else the machine does, and growth of the resident
+memory."""
+STUCK_S = 300.0
+"""Wall time after which a reader that does nothing is given up, and the campaign with it."""
 ADDRESS_SPACE = 4 << 30
 """Bytes more than at the start, so that a bomb kills this process and not the machine."""
 MOST_SAID = 2500
@@ -750,23 +753,24 @@ def _peak_kb(name: str) -> int:
 
 
 class Watch:
-    """What one call cost: time, and how far the resident memory grew over what it was."""
+    """What one call cost: CPU time, and how far the resident memory grew over what it was."""
 
     seconds = mb = 0.0
 
     def __enter__(self) -> Watch:
         """Forget the memory's highest mark, and begin."""
         Path("/proc/self/clear_refs").write_text("5")
-        self._before, self._begin = _peak_kb("VmRSS"), time.perf_counter()
-        signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
-        faulthandler.dump_traceback_later(3 * LIMIT_S, exit=True)  # where no signal is looked at
+        self._before, self._begin = _peak_kb("VmRSS"), time.process_time()
+        signal.setitimer(signal.ITIMER_PROF, LIMIT_S)
+        # Where no signal is looked at, or where nothing is done: by wall time, on any machine.
+        faulthandler.dump_traceback_later(STUCK_S, exit=True)
         return self
 
     def __exit__(self, *_: object) -> None:
         """Take the measure."""
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
         faulthandler.cancel_dump_traceback_later()
-        self.seconds = time.perf_counter() - self._begin
+        self.seconds = time.process_time() - self._begin
         self.mb = (_peak_kb("VmHWM") - self._before) / 1024
 
 
@@ -796,7 +800,7 @@ def one(name: str, n: int, corpus: Path, folder: Path) -> tuple[str, Watch, str]
 
 def campaign(names: Sequence[str], count: int, seed: int = 0) -> Iterator[dict[str, Any]]:
     """Yield what came of the mutants, a reader at a time."""
-    signal.signal(signal.SIGALRM, _too_slow)
+    signal.signal(signal.SIGPROF, _too_slow)
     space = _peak_kb("VmSize") * 1024 + ADDRESS_SPACE
     resource.setrlimit(resource.RLIMIT_AS, (space, resource.RLIM_INFINITY))
     total = sum(READERS[name].share for name in names)

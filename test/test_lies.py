@@ -78,7 +78,7 @@ def test_the_campaign_sees_what_goes_wrong(tmp_path: Path, monkeypatch: pytest.M
     source.write_text("whole")
     monkeypatch.setattr(mutate, "LIMIT_S", 0.5)
     monkeypatch.setattr(mutate, "LIMIT_MB", 30.0)
-    before = signal.signal(signal.SIGALRM, mutate._too_slow)
+    before = signal.signal(signal.SIGPROF, mutate._too_slow)
     try:
         for name, (read, says) in bad.items():
             reader = mutate.Reader("file", lambda *_: None, read)
@@ -87,7 +87,7 @@ def test_the_campaign_sees_what_goes_wrong(tmp_path: Path, monkeypatch: pytest.M
             outcome, _, said = mutate.one(name, 0, source.parent, tmp_path / name)
             assert (outcome, says in said) == ("failed", True), said
     finally:
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGPROF, before)
 
 
 # -- whole bags ----------------------------------------------------------------------------------
