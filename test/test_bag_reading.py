@@ -1526,7 +1526,7 @@ def test_who_looks_into_a_bag_runs_no_world_that_it_names(
     ("path", "says"),
     [
         ("no_such_package.Mine", "there is no module 'no_such_package'"),
-        ("builtins.print", "'NoneType' object has no attribute 'shape'"),
+        ("builtins.print", "makes a NoneType without shape"),
         ("math.pi", "is no class"),
         ("math.Mine", "cannot be used"),
     ],
