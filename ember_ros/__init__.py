@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ember_ros.errors import EmberError
     from ember_ros.params import Params
     from ember_ros.result import QTable, Run, SavedRun
-    from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Pair, Transition
+    from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, TDUpdate, Transition
     from ember_ros.worlds import World
     from leg_node.assembly import make_leg
     from leg_node.discretizer import Discretizer
@@ -46,13 +46,13 @@ __all__ = [
     "Learner",
     "LegCommand",
     "LegSense",
-    "Pair",
     "Params",
     "Policy",
     "QTable",
     "RewardFunction",
     "Run",
     "SavedRun",
+    "TDUpdate",
     "Transition",
     "ValueEstimate",
     "World",
@@ -70,7 +70,7 @@ _HOMES = {
     "ember_ros.errors": "EmberError",
     "ember_ros.params": "Params",
     "ember_ros.result": "QTable Run SavedRun",
-    "ember_ros.signals": "Beat BodyState LegCommand LegSense Pair Transition",
+    "ember_ros.signals": "Beat BodyState LegCommand LegSense TDUpdate Transition",
     "leg_node.assembly": "make_leg",
     "leg_node.discretizer": "Discretizer",
     "leg_node.gait": "Gait GaitStep",

@@ -20,9 +20,9 @@ from ember_ros.errors import ParameterError, TableError, shown
 from ember_ros.loop import Loop
 from ember_ros.params import Params, cells_sha256, replace
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import Recorder
+from ember_ros.report.run_statistics import RunStatistics
 from ember_ros.result import QTable, Run, SavedRun, load
+from ember_ros.run_config import RunConfig
 from ember_ros.shipped import shipped_table
 from ember_ros.versions import provenance
 from leg_node.assembly import BLIND
@@ -264,7 +264,7 @@ def _run(
         given = [params] if isinstance(params, (Params, Mapping, str, Path)) else list(params)
     own = replace(_laid(start.params if start else Params(), given), parts)
     policy = _path_of(policy, "policy")
-    plan = Plan(
+    config = RunConfig(
         _path_of(world, "world"),
         _whole(cycles, "cycles"),
         seed=_whole(seed, "seed"),
@@ -277,13 +277,13 @@ def _run(
     if start is not None:
         hold_meaning("the table", cells_sha256(start.params), own)
     where = provenance()
-    loop = Loop(plan)
+    loop = Loop(config)
     try:
         if start is not None and file is None:
             loop.shared.table.copy_from(start.cells())  # which legs pull before their first tick
-        recorder, collector = Recorder(own, plan.legs), Collector(own, plan.legs)
-        with _shown(plan, progress) as update:
-            for cycle in range(plan.cycles):
+        recorder, collector = RunStatistics(own, config.legs), Collector(own, config.legs)
+        with _shown(config, progress) as update:
+            for cycle in range(config.cycles):
                 update(cycle, loop.world.body().falls)
                 for _ in range(own.gait.ticks):
                     loop.tick(recorder, collector)
@@ -293,7 +293,7 @@ def _run(
         loop.close()
     record = recorder.record()
     return Run(
-        plan,
+        config,
         record,
         QTable.of(learnt, own),
         collector.ticks(record),
@@ -303,13 +303,13 @@ def _run(
 
 
 @contextmanager
-def _shown(plan: Plan, wanted: bool) -> Iterator[Callable[[int, int], None]]:
+def _shown(config: RunConfig, wanted: bool) -> Iterator[Callable[[int, int], None]]:
     """Show how far a run is, if that is wanted."""
     if not wanted:
         yield lambda done, falls: None
         return
     from ember_ros.terminal import progress
 
-    label = "training" if plan.stage == "train" else "walking"
-    with progress(label, plan.cycles) as update:
-        yield lambda done, falls: update(done, f"{done}/{plan.cycles} cycles, {falls} falls")
+    label = "training" if config.stage == "train" else "walking"
+    with progress(label, config.cycles) as update:
+        yield lambda done, falls: update(done, f"{done}/{config.cycles} cycles, {falls} falls")

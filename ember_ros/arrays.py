@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ember_ros.params import Params
-from ember_ros.report.recorder import TRACE, Record
+from ember_ros.report.run_statistics import TRACE, RunRecord
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from leg_node.table import Floats, Ints
 
@@ -63,7 +63,7 @@ class Senses(Columns):
     """The hair in front of the foot touches the ground."""
     contact: Bools
     """The foot touched the ground at the end of the tick."""
-    restart: Bools
+    first_tick: Bools
     """The leg was picked up and put down just now, after a fall."""
 
 
@@ -211,7 +211,7 @@ class Collector:
         self._heights.append(body.height)
         self._falls.append(body.falls)
 
-    def ticks(self, record: Record) -> Ticks:
+    def ticks(self, record: RunRecord) -> Ticks:
         """Return everything as arrays.
 
         Args:
@@ -249,12 +249,12 @@ class Collector:
         )  # fmt: skip
 
 
-def pose_of(record: Record) -> Pose:
+def pose_of(record: RunRecord) -> Pose:
     """Return the traces of a record by name."""
     return Pose(*_pose(record))
 
 
-def _pose(record: Record) -> list[Floats]:
+def _pose(record: RunRecord) -> list[Floats]:
     return [_kept(record.traces[:, n]) for n in range(len(TRACE))]
 
 

@@ -71,7 +71,7 @@ class RunError(EmberError):
     """A folder holds no finished run, or a run nothing of what is asked of it."""
 
 
-class PushError(EmberError):
+class UpdateError(EmberError):
     """A push of learnt pairs is malformed and is refused as a whole."""
 
 

@@ -22,13 +22,13 @@ from ember_ros.entry_points import NODES
 from ember_ros.errors import EmberError, GraphError
 from ember_ros.params import as_dict, by_full_name
 from ember_ros.params_file import dump_params
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.seat import TAKEN, Seat, TakenError, domain, make_sure, run_seat
 from ember_ros.spinning import TURN_S, prepare_environment
 from leg_node.table_file import load_table
 
 if TYPE_CHECKING:
-    from ember_ros.offline.replay import RecordedWorld
+    from ember_ros.offline.replay import ReplayWorld
     from ember_ros.worlds import World
     from leg_node.table import Table
 
@@ -37,7 +37,7 @@ PATIENCE_S = 60.0
 
 
 def node_options(
-    plan: Plan,
+    config: RunConfig,
     out: Path | None = None,
     patience: float | None = None,
     bag: BagOptions | None = None,
@@ -49,27 +49,27 @@ def node_options(
     table_waits = {} if patience is None else {"table_patience": patience / 2}
     nodes: dict[str, dict[str, Any]] = {
         "table_node": {
-            "stage": plan.stage,
-            "table": str(plan.table) if plan.table else "",
+            "stage": config.stage,
+            "table": str(config.table) if config.table else "",
             "save": str(out / "table.npz") if out else "",
-            "seed": plan.seed,
+            "seed": config.seed,
         },
-        "cpg_node": {"world": plan.world},
+        "cpg_node": {"world": config.world},
     }
-    for leg in plan.legs:
+    for leg in config.legs:
         nodes[f"leg_{leg}"] = {
             "leg": leg,
-            "stage": plan.stage,
-            "seed": plan.seed,
-            "policy": plan.policy,
-            "learning": plan.learning,
-            "start_cycle": plan.start_cycle,
+            "stage": config.stage,
+            "seed": config.seed,
+            "policy": config.policy,
+            "learning": config.learning,
+            "start_cycle": config.start_cycle,
             **table_waits,
         }
     nodes["sim_node"] = {
-        "world": plan.world,
-        "cycles": plan.cycles,
-        "seed": plan.seed,
+        "world": config.world,
+        "cycles": config.cycles,
+        "seed": config.seed,
         "out": str(out) if out else "",
         **waits,
         **into,
@@ -87,7 +87,7 @@ class Graph:
 
     def __init__(
         self,
-        plan: Plan,
+        config: RunConfig,
         out: Path | None = None,
         *,
         namespace: str = "",
@@ -99,7 +99,7 @@ class Graph:
         """Make the nodes; nothing runs before ``run``.
 
         Args:
-            plan: what to run.
+            config: what to run.
             out: folder for the record and the table; nowhere for None.
             namespace: of all nodes: another one is another robot.
             patience: wall seconds to wait for anybody; each node's own default for None.
@@ -141,9 +141,9 @@ class Graph:
         makers = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
         try:
             self._seat = run_seat(context.get_domain_id(), namespace)
-            for name, options in node_options(plan, out, patience, bag).items():
+            for name, options in node_options(config, out, patience, bag).items():
                 make = makers.get(name, LegNode)
-                given = by_full_name(as_dict(plan.params)) | options
+                given = by_full_name(as_dict(config.params)) | options
                 node = make(
                     context=context,
                     namespace=namespace,
@@ -208,8 +208,8 @@ class Graph:
 
 
 def by_graph(
-    plan: Plan,
-    world: RecordedWorld,
+    config: RunConfig,
+    world: ReplayWorld,
     folder: Path,
     go_on: Callable[[int], bool],
     *,
@@ -222,14 +222,14 @@ def by_graph(
     Raises:
         EmberError: as ``Graph``.
     """
-    graph = Graph(plan, folder, world=world, namespace=namespace)
+    graph = Graph(config, folder, world=world, namespace=namespace)
     graph.sim.observers.append(world)
     try:
         graph.run(lambda: go_on(graph.sim.tick))
         done = graph.sim.tick
     finally:
         graph.close()
-    return done, load_table(folder / "table.npz", plan.params)[0]
+    return done, load_table(folder / "table.npz", config.params)[0]
 
 
 # -- one process a node ----------------------------------------------------------------------
@@ -240,7 +240,7 @@ class Processes:
 
     def __init__(
         self,
-        plan: Plan,
+        config: RunConfig,
         out: Path,
         *,
         namespace: str = "",
@@ -250,7 +250,7 @@ class Processes:
         """Start the processes.
 
         Args:
-            plan: what to run.
+            config: what to run.
             out: folder for the record and the table; parameters and a log a node in ``log``.
             namespace: of all nodes.
             patience: wall seconds to wait for anybody; each node's own default for None.
@@ -266,14 +266,14 @@ class Processes:
         params = self._logs / "params.yaml"
         try:
             self._logs.mkdir(parents=True, exist_ok=True)
-            params.write_text(dump_params(plan.params), encoding="utf-8")
+            params.write_text(dump_params(config.params), encoding="utf-8")
         except OSError as error:
             self._seat.leave()
             raise GraphError(
                 f"cannot write {error.filename}, for what the nodes are told and say: "
                 f"{error.strerror}"
             ) from error
-        nodes = node_options(plan, out, patience, bag)
+        nodes = node_options(config, out, patience, bag)
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         try:
             for name, options in nodes.items():
@@ -349,9 +349,9 @@ class Processes:
 
 
 @contextmanager
-def processes(plan: Plan, out: Path, **options: Any) -> Iterator[Processes]:
+def processes(config: RunConfig, out: Path, **options: Any) -> Iterator[Processes]:
     """Run a plan as ``Processes`` with these options for as long as the block lasts."""
-    running = Processes(plan, out, **options)
+    running = Processes(config, out, **options)
     try:
         yield running
     finally:

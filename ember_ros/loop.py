@@ -9,7 +9,7 @@ from cpg_node.cpg import Beats
 from ember_ros import parts
 from ember_ros.observer import Observer
 from ember_ros.params import cells_sha256
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, LegCommand, LegSense
 from ember_ros.worlds import World, make_world
 from leg_node.assembly import empty_table, make_leg, numbers_of
@@ -30,7 +30,7 @@ def act(shared: SharedTable, leg: LegModule, sense: LegSense, beat: Beat) -> Leg
     return command
 
 
-def hand_in(shared: SharedTable, leg: LegModule, last_tick: int) -> None:
+def flush(shared: SharedTable, leg: LegModule, last_tick: int) -> None:
     """Let a leg push what it learnt since its last epoch ended."""
     leg.finish()
     leg.copy.close_epoch(last_tick, early=True)
@@ -46,33 +46,33 @@ def _push(shared: SharedTable, leg: LegModule) -> None:
 class Loop:
     """One robot: a world, a central pattern generator, legs, and the table they share."""
 
-    def __init__(self, plan: Plan, world: World | None = None) -> None:
+    def __init__(self, config: RunConfig, world: World | None = None) -> None:
         """Build the robot of a plan, in ``world`` or in the one that the plan names.
 
         Raises:
             TableError: the plan's table cannot be used.
             ParameterError: a leg, a policy or a part does not exist.
         """
-        params = plan.params
-        table = load_table(plan.table, params)[0] if plan.table else empty_table(params)
-        numbers = numbers_of(params, plan.stage)
+        params = config.params
+        table = load_table(config.table, params)[0] if config.table else empty_table(params)
+        numbers = numbers_of(params, config.stage)
         self.shared = SharedTable(
-            table, legs=len(plan.legs), cells=cells_sha256(params), rate=numbers.rate
+            table, legs=len(config.legs), cells=cells_sha256(params), rate=numbers.rate
         )
         self.legs = [
             make_leg(
                 params,
                 leg,
-                stage=plan.stage,
-                seed=plan.seed,
-                policy=plan.policy,
-                learning=plan.learning,
-                start_cycle=plan.start_cycle,
+                stage=config.stage,
+                seed=config.seed,
+                policy=config.policy,
+                learning=config.learning,
+                start_cycle=config.start_cycle,
             )
-            for leg in plan.legs
+            for leg in config.legs
         ]
         self.beats = Beats(parts.make(params, "cpg", params))
-        self.world = world or make_world(plan.world, params, plan.seed)
+        self.world = world or make_world(config.world, params, config.seed)
         self.now = 0
         """The present tick."""
 
@@ -92,7 +92,7 @@ class Loop:
     def finish(self) -> Table:
         """End the run: bring what every leg has learnt into the shared table, and return it."""
         for leg in self.legs:
-            hand_in(self.shared, leg, self.now - 1)
+            flush(self.shared, leg, self.now - 1)
         self.shared.merge()
         return self.shared.table
 

@@ -15,9 +15,9 @@ import numpy as np
 from ember_ros.arrays import Body, Bools, Commands, Pose, Senses, Ticks, pose_of
 from ember_ros.errors import RunError, TableError, need, shown
 from ember_ros.params import Params, params_sha256
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import Record, Row, load_record
+from ember_ros.report.run_statistics import Row, RunRecord, load_record
 from ember_ros.run import SUMMARY, TABLE, keep
+from ember_ros.run_config import RunConfig
 from leg_node.assembly import empty_table, make_discretizer
 from leg_node.discretizer import states_of
 from leg_node.table import Floats, Ints, Table
@@ -141,9 +141,9 @@ class QTable:
 class SavedRun:
     """What is kept of a run in its folder; ``load`` reads one."""
 
-    plan: Plan
+    config: RunConfig
     """What was run: world, cycles, seed, params, policy."""
-    record: Record
+    record: RunRecord
     """Lines a cycle, pose by tick, summary."""
     table: QTable
     """What was learnt in the end."""
@@ -151,12 +151,12 @@ class SavedRun:
     @property
     def params(self) -> Params:
         """Return all parameters, with the parts that were named."""
-        return self.plan.params
+        return self.config.params
 
     @property
     def legs(self) -> tuple[str, ...]:
         """Return the names of the legs, in the order of all columns."""
-        return self.plan.legs
+        return self.config.legs
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -197,7 +197,7 @@ class SavedRun:
         need("matplotlib", why="to draw")
         from ember_ros.report import figures
 
-        what = "trained" if self.plan.stage == "train" else "walked"
+        what = "trained" if self.config.stage == "train" else "walked"
         ticks = self.params.gait.ticks
         picture = figures.picture(**{what: self.record}, ticks=ticks)
         if picture is None:
@@ -206,18 +206,18 @@ class SavedRun:
 
     def __repr__(self) -> str:
         """Return the main figures in three lines."""
-        plan, told = self.plan, self.summary
+        config, told = self.config, self.summary
         first, last = told["first"], told["last"]
-        how = "learning" if plan.learning else "not learning"
+        how = "learning" if config.learning else "not learning"
         return "\n".join(
             [
-                f"{type(self).__name__} in {plan.world}: {told['cycles']} cycles, legs "
-                f"{len(self.legs)}, seed {plan.seed}, policy {plan.policy}, {how}",
+                f"{type(self).__name__} in {config.world}: {told['cycles']} cycles, legs "
+                f"{len(self.legs)}, seed {config.seed}, policy {config.policy}, {how}",
                 f"  {_told(last['distance_per_cycle_m'])} m a cycle at the end (first "
                 f"{_told(first['distance_per_cycle_m'])}), reward a tick {_told(last['reward'])} "
                 f"(first {_told(first['reward'])}), {told['falls']} falls",
                 f"  SHA-256 of table {self.table.sha256[:12]}, senses "
-                f"{told['senses_sha256'][:12]}, parameters {params_sha256(plan.params)[:12]}",
+                f"{told['senses_sha256'][:12]}, parameters {params_sha256(config.params)[:12]}",
             ]
         )
 
@@ -315,11 +315,11 @@ class Run(SavedRun):
             EmberError: it cannot be written, or holds an earlier run.
         """
         keep(
-            self.plan,
+            self.config,
             Path(folder),
             self.record,
             self.table.cells(),
-            command=f"ember_ros.{'train' if self.plan.stage == 'train' else 'walk'}",
+            command=f"ember_ros.{'train' if self.config.stage == 'train' else 'walk'}",
             where=self.provenance,
             start=self.start_sha256,
             replace=replace,
@@ -358,8 +358,10 @@ def load(folder: str | Path) -> SavedRun:
     except (ValueError, KeyError, IndexError, TypeError) as error:
         raise RunError(f"{folder} holds a run that cannot be read: {error}") from error
     table = QTable.load(folder / TABLE)
-    plan = Plan(cycles=cycles, params=table.params, table=Path(start) if start else None, **known)
-    return SavedRun(plan, record, table)
+    config = RunConfig(
+        cycles=cycles, params=table.params, table=Path(start) if start else None, **known
+    )
+    return SavedRun(config, record, table)
 
 
 def _told(value: float | None) -> str:

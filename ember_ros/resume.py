@@ -7,8 +7,8 @@ from pathlib import Path
 
 from ember_ros.errors import ParameterError
 from ember_ros.params import Params
-from ember_ros.plan import Plan
 from ember_ros.run import SUMMARY, TABLE
+from ember_ros.run_config import RunConfig
 from leg_node.policy import epsilon_at
 from leg_node.table_file import load_about, load_table, params_of, told_differences
 
@@ -40,27 +40,27 @@ def resumed(run: Path, world: str) -> tuple[int, Params]:
     return cycle, params_of(run / TABLE, about)
 
 
-def beginning(plan: Plan) -> list[str]:
+def beginning(config: RunConfig) -> list[str]:
     """Return what is to be said before a run that starts from a table.
 
     Raises:
         TableError: the table cannot be used.
     """
-    if plan.table is None:
+    if config.table is None:
         return []
     lines = []
-    _, about = load_table(plan.table, plan.params)
-    other = told_differences(plan.table, about, plan.params)
+    _, about = load_table(config.table, config.params)
+    other = told_differences(config.table, about, config.params)
     if other is not None:
         lines.append(other)
-    numbers = plan.params.walk if plan.stage == "walk" else plan.params.train
-    epsilon = epsilon_at(numbers, plan.start_cycle)
+    numbers = config.params.walk if config.stage == "walk" else config.params.train
+    epsilon = epsilon_at(numbers, config.start_cycle)
     share = f"{100 * epsilon:.3g} %"
-    if plan.start_cycle:
-        lines.append(f"going on from cycle {plan.start_cycle}, exploring {share} at first")
-    elif plan.policy == "learned" and epsilon > numbers.epsilon_end:
+    if config.start_cycle:
+        lines.append(f"going on from cycle {config.start_cycle}, exploring {share} at first")
+    elif config.policy == "learned" and epsilon > numbers.epsilon_end:
         lines.append(
-            f"starting from {plan.table} at cycle 0: {share} of the actions are random at "
+            f"starting from {config.table} at cycle 0: {share} of the actions are random at "
             "first, which may undo what it knows; --resume RUN goes on where a run was"
         )
     return lines

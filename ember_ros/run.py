@@ -21,23 +21,23 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from ember_ros.bag.card import Card
-from ember_ros.bag.recording import Recording
-from ember_ros.bag.scribe import Scribe
+from ember_ros.bag.run_metadata import RunMetadata
+from ember_ros.bag.run_writer import RunWriter
 from ember_ros.bag.storage import BagOptions, make_folder, seal
+from ember_ros.bag.writer_process import WriterProcess
 from ember_ros.errors import ParameterError, StoppedError, no_ros
 from ember_ros.params import as_dict, params_sha256
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import (
+from ember_ros.report.run_statistics import (
     BODY,
     CYCLES,
     MEASURED,
     TRACES,
-    Record,
-    Recorder,
+    RunRecord,
+    RunStatistics,
     load_record,
     save_record,
 )
+from ember_ros.run_config import RunConfig
 from ember_ros.spinning import prepare_environment
 from ember_ros.versions import provenance, versions
 from leg_node.journal import ENDINGS
@@ -59,7 +59,7 @@ GoOn = Callable[[int, int], bool]
 
 
 def run(
-    plan: Plan,
+    config: RunConfig,
     way: str,
     out: Path,
     go_on: GoOn,
@@ -67,14 +67,14 @@ def run(
     bag: BagOptions | None = None,
     namespace: str = "",
     replace: bool = True,
-) -> tuple[Record, dict[str, Any]]:
+) -> tuple[RunRecord, dict[str, Any]]:
     """Run a plan to its end, or until ``go_on`` says no, and write what came of it.
 
     Writes ``table.npz``, ``cycles.csv``, ``traces.npy`` and ``summary.json`` into ``out``. An
     earlier run there is replaced once this one has begun, and is as it was if it cannot begin.
 
     Args:
-        plan: what to run.
+        config: what to run.
         way: one of ``WAYS``.
         out: a folder, made if need be.
         go_on: progress and stop.
@@ -92,7 +92,7 @@ def run(
     """
     where = provenance()
     # Before anything starts: say what is wrong with it.
-    start = load_table(plan.table, plan.params)[0].sha256() if plan.table else None
+    start = load_table(config.table, config.params)[0].sha256() if config.table else None
     if bag is not None and bag.folder.absolute() == out.absolute():
         raise ParameterError(f"{out} is to hold the run; another folder would be right for the bag")
     if bag is not None:
@@ -102,13 +102,13 @@ def run(
     with _alone_in(out):
         if not replace:
             _refuse(out)
-        return _run(plan, way, out, go_on, command, bag, namespace, where, start)
+        return _run(config, way, out, go_on, command, bag, namespace, where, start)
 
 
 def keep(
-    plan: Plan,
+    config: RunConfig,
     out: Path,
-    record: Record,
+    record: RunRecord,
     table: Table,
     *,
     command: str,
@@ -119,7 +119,7 @@ def keep(
     """Write a run of the direct loop that was kept in memory, as ``run`` would have left it.
 
     Args:
-        plan: what was run.
+        config: what was run.
         out: a folder, made if need be.
         record: of the run.
         table: what was learnt.
@@ -136,14 +136,14 @@ def keep(
             into it.
     """
     _make(out)
-    summary = _summary(plan, "loop", record, table.sha256(), command, where, start)
+    summary = _summary(config, "loop", record, table.sha256(), command, where, start)
     with _alone_in(out):
         if not replace:
             _refuse(out)
         _set_aside(out, None)
         try:
-            notes = {"cycle": plan.start_cycle + summary["cycles"]}
-            save_table(out / TABLE, table, plan.params, plan.seed, notes)
+            notes = {"cycle": config.start_cycle + summary["cycles"]}
+            save_table(out / TABLE, table, config.params, config.seed, notes)
             _write_summary(out, summary)
             save_record(out, record)
         except OSError as error:
@@ -269,7 +269,7 @@ def _settle(out: Path) -> None:
 
 
 def _run(
-    plan: Plan,
+    config: RunConfig,
     way: str,
     out: Path,
     go_on: GoOn,
@@ -278,28 +278,28 @@ def _run(
     namespace: str,
     where: dict[str, str],
     start: str | None,
-) -> tuple[Record, dict[str, Any]]:
+) -> tuple[RunRecord, dict[str, Any]]:
     if way != "loop":
         prepare_environment()
     ways = {"loop": _loop, "graph": _graph, "processes": _processes}
-    _set_aside(out, plan.table)
+    _set_aside(out, config.table)
     earlier = any((out / EARLIER).iterdir())
     try:
-        ways[way](plan, out, go_on, bag, namespace)
+        ways[way](config, out, go_on, bag, namespace)
     except BaseException:
         _settle(out)
         raise
-    if earlier and plan.cycles and not _begun(out):
+    if earlier and config.cycles and not _begun(out):
         _settle(out)
         raise StoppedError(
             f"stopped before the first cycle ended; the earlier run in {out} is as it was"
         )
     shutil.rmtree(out / EARLIER)
     record = load_record(out)
-    learnt = load_table(out / TABLE, plan.params)[0].sha256()
-    summary = _summary(plan, way, record, learnt, command, where, start)
+    learnt = load_table(out / TABLE, config.params)[0].sha256()
+    summary = _summary(config, way, record, learnt, command, where, start)
     if bag is not None:
-        facts = {"planned_cycles": str(plan.cycles)}
+        facts = {"planned_cycles": str(config.cycles)}
         # A graph that is stopped leaves open which legs had the last tick: then nobody can say
         # which table a replay must end with.
         if summary["complete"] or way == "loop":
@@ -310,9 +310,9 @@ def _run(
 
 
 def _summary(
-    plan: Plan,
+    config: RunConfig,
     way: str,
-    record: Record,
+    record: RunRecord,
     learnt: str,
     command: str,
     where: dict[str, str],
@@ -322,19 +322,19 @@ def _summary(
     return {
         "command": command,
         "on": way,
-        "world": plan.world,
-        "policy": plan.policy,
-        "learning": plan.learning,
-        "seed": plan.seed,
-        "start_cycle": plan.start_cycle,
-        "planned_cycles": plan.cycles,
-        "start_table": str(plan.table) if plan.table else None,
+        "world": config.world,
+        "policy": config.policy,
+        "learning": config.learning,
+        "seed": config.seed,
+        "start_cycle": config.start_cycle,
+        "planned_cycles": config.cycles,
+        "start_table": str(config.table) if config.table else None,
         "start_table_sha256": start,
         **record.measured,
-        "complete": len(record.traces) == plan.cycles * plan.params.gait.ticks,
+        "complete": len(record.traces) == config.cycles * config.params.gait.ticks,
         "table_sha256": learnt,
-        "parts": as_dict(plan.params)["parts"],
-        "params_sha256": params_sha256(plan.params),
+        "parts": as_dict(config.params)["parts"],
+        "params_sha256": params_sha256(config.params),
         "versions": versions(),
         "provenance": where,
     }
@@ -344,48 +344,52 @@ def _write_summary(out: Path, summary: dict[str, Any]) -> None:
     (out / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
 
 
-def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str) -> None:
+def _loop(
+    config: RunConfig, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str
+) -> None:
     from ember_ros.loop import Loop
     from ember_ros.observer import Observer
 
-    loop = Loop(plan)
-    recorder = Recorder(plan.params, plan.legs, out)
+    loop = Loop(config)
+    recorder = RunStatistics(config.params, config.legs, out)
     observers: list[Observer] = [recorder]
     writer, recording = None, None
     if bag is not None:
-        writer = Scribe(bag)
-        card = Card.of_plan(plan, loop.shared.table, versions())
-        recording = Recording(writer, card, loop.shared.table, namespace=namespace)
+        writer = WriterProcess(bag)
+        run_metadata = RunMetadata.of_config(config, loop.shared.table, versions())
+        recording = RunWriter(writer, run_metadata, loop.shared.table, namespace=namespace)
         observers.append(recording)
     saved = time.monotonic()
     try:
-        for cycle in range(plan.cycles):
-            if plan.learning and time.monotonic() - saved >= CHECKPOINT_S:
+        for cycle in range(config.cycles):
+            if config.learning and time.monotonic() - saved >= CHECKPOINT_S:
                 # All that was pushed, merged or not; it changes nothing in the run.
-                notes = {"cycle": plan.start_cycle + cycle}
-                save_table(out / TABLE, loop.shared.preview(), plan.params, plan.seed, notes)
+                notes = {"cycle": config.start_cycle + cycle}
+                save_table(out / TABLE, loop.shared.preview(), config.params, config.seed, notes)
                 saved = time.monotonic()
             if not go_on(cycle, loop.world.body().falls):
                 break
-            for _ in range(plan.params.gait.ticks):
+            for _ in range(config.params.gait.ticks):
                 loop.tick(*observers)
         if writer is not None and recording is not None:
             recording.finish()
             writer.close()
     finally:
-        notes = {"cycle": plan.start_cycle + loop.now // plan.params.gait.ticks}
-        save_table(out / TABLE, loop.finish(), plan.params, plan.seed, notes)
+        notes = {"cycle": config.start_cycle + loop.now // config.params.gait.ticks}
+        save_table(out / TABLE, loop.finish(), config.params, config.seed, notes)
         recorder.finish(loop.world.observe(), loop.world.body())
         if writer is not None:
             writer.abandon()  # nothing, if it was closed
         loop.close()
 
 
-def _graph(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str) -> None:
+def _graph(
+    config: RunConfig, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str
+) -> None:
     try:
         from ember_ros.graph import Graph
 
-        graph = Graph(plan, out, bag=bag, namespace=namespace)
+        graph = Graph(config, out, bag=bag, namespace=namespace)
     except ModuleNotFoundError as error:
         raise no_ros(error) from error
     try:
@@ -395,12 +399,14 @@ def _graph(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace
         graph.close()
 
 
-def _processes(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str) -> None:
+def _processes(
+    config: RunConfig, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str
+) -> None:
     need_ros()  # say it here, not in seven logs
     from ember_ros.graph import processes
 
     tally = _Tally(out / CYCLES)
-    with processes(plan, out, bag=bag, namespace=namespace) as running:
+    with processes(config, out, bag=bag, namespace=namespace) as running:
         running.wait(lambda: go_on(*tally.read()))
 
 

@@ -54,7 +54,7 @@ class LegSense(NamedTuple):
     """The hair in front of the foot touches the ground."""
     contact: bool
     """The foot touched the ground at the end of the tick."""
-    restart: bool
+    first_tick: bool
     """The leg was picked up and put down just now: what went before is none of its doing."""
 
 
@@ -72,7 +72,7 @@ class LegCommand(NamedTuple):
     """N m"""
 
 
-class Pair(NamedTuple):
+class TDUpdate(NamedTuple):
     """One Q-learning update, kept so that it can be applied elsewhere in the same order."""
 
     tick: int

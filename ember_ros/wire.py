@@ -288,7 +288,7 @@ class SenseWire:
         joints = self._joints.pack(ns, (sense.hip, sense.knee), (sense.hip_speed, sense.knee_speed))
         contact = self._contact.pack(
             ns,
-            (sense.slip, sense.inclination, sense.hair, sense.contact, sense.restart, 0.0, 0.0),
+            (sense.slip, sense.inclination, sense.hair, sense.contact, sense.first_tick, 0.0, 0.0),
             (0.0, 0.0, 0.0, 0.0, 0.0, sense.force_mean, sense.force_peak),
         )
         return joints, contact
@@ -319,13 +319,13 @@ class SenseWire:
     @staticmethod
     def sense(tick: int, joints: Stamped, contact: Stamped) -> LegSense:
         """Return the senses in the numbers of one tick's two messages."""
-        slip, inclination, hair, touch, restart = contact.first[:5]
+        slip, inclination, hair, touch, first_tick = contact.first[:5]
         hip, knee = joints.first
         hip_speed, knee_speed = joints.second
         load, load_peak = contact.second[5:]
         return LegSense(
             tick, hip, knee, hip_speed, knee_speed, load, load_peak, inclination, slip,
-            hair == 1.0, touch == 1.0, restart == 1.0,
+            hair == 1.0, touch == 1.0, first_tick == 1.0,
         )  # fmt: skip
 
 

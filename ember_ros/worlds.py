@@ -21,7 +21,7 @@ class World(Protocol):
     """A place where legs are mounted.
 
     ``legs`` names them in the order of all sequences here. Ticks count from 0 and go on over a
-    fall: a world that puts the robot back on its feet marks the next senses with ``restart``.
+    fall: a world that puts the robot back on its feet marks the next senses with ``first_tick``.
     """
 
     legs: tuple[str, ...]

@@ -70,7 +70,7 @@ def run(env: WalkerEnv, learners: dict[str, QLearner], cycles: int, args: Args) 
             actions = {leg: learners[leg].choose(states[leg]) for leg in env.agents}
             seen, rewards, _, _, infos = env.step(actions)
             for leg, action in actions.items():
-                if not infos[leg]["restart"]:  # nothing is learnt across a fall
+                if not infos[leg]["first_tick"]:  # nothing is learnt across a fall
                     learners[leg].learn(states[leg], action, rewards[leg], seen[leg])
             states = seen
         if (cycle + 1) % args.report_cycles == 0 or cycle + 1 == cycles:

@@ -104,11 +104,11 @@ class HardwareLeg:
 def main() -> None:
     """Let the leg learn for some cycles, on a graph of nodes."""
     from ember_ros.graph import Graph
-    from ember_ros.plan import Plan
+    from ember_ros.run_config import RunConfig
 
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--cycles", type=int, default=50)
-    graph = Graph(Plan("leg_driver.HardwareLeg", parser.parse_args().cycles))
+    graph = Graph(RunConfig("leg_driver.HardwareLeg", parser.parse_args().cycles))
     graph.run()
     table = graph.nodes["table_node"].shared.table
     print(f"{graph.sim.tick} ticks of {TRAINER_LEG}; {int(table.visits.sum())} updates learnt")

@@ -24,7 +24,7 @@ from sb3_trainer import learn
 
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.versions import provenance, versions
 from leg_node.table import Table
 from leg_node.table_file import save_table
@@ -50,7 +50,7 @@ def q_walk(table: Table, world: str, strides: int, seed: int, *, learning: bool)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "table.npz"
         save_table(file, table, GREEDY, seed)
-        loop = Loop(Plan(world, strides, seed, GREEDY, learning=learning, table=file))
+        loop = Loop(RunConfig(world, strides, seed, GREEDY, learning=learning, table=file))
     ways, paid = [], Paid()
     for stride in range(strides):
         begin = loop.world.body()
@@ -64,7 +64,7 @@ def q_walk(table: Table, world: str, strides: int, seed: int, *, learning: bool)
 
 def q_learn(strides: int, seed: int) -> tuple[Table, list[dict[str, float]]]:
     """Train one leg as ``ember train`` does; return its table, and looks at it on the way."""
-    loop, curve, spent, wall = Loop(Plan("trainer", strides, seed)), [], 0.0, 0.0
+    loop, curve, spent, wall = Loop(RunConfig("trainer", strides, seed)), [], 0.0, 0.0
     table = loop.shared.table
     for done in [*range(0, strides, LOOK), strides]:
         cpu, now = time.process_time(), time.monotonic()

@@ -38,7 +38,7 @@ class Legs(VecEnv):  # type: ignore[misc]
         seen, rewards, _, _, infos = self.env.step(self.actions)
         told = [infos[leg] for leg in self.legs]
         # Nothing is learnt across a fall: it ends what SB3 calls an episode, but the robot goes on.
-        ends = np.array([info["restart"] for info in told])
+        ends = np.array([info["first_tick"] for info in told])
         observations = np.stack([seen[leg] for leg in self.legs])
         for info, observation in zip(told, observations, strict=True):
             info["terminal_observation"] = observation

@@ -1,7 +1,7 @@
 """The only conversion between the table's service calls and values. It changes no bit of a number.
 
 An ament_python package cannot generate service types; the two used here carry named arrays, and can
-be called from a terminal. Readers refuse what is not as it should be with a ``PushError``.
+be called from a terminal. Readers refuse what is not as it should be with a ``UpdateError``.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Any
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 
-from ember_ros.errors import PushError
-from ember_ros.signals import Pair
-from leg_node.shared import Changes, Push
+from ember_ros.errors import UpdateError
+from ember_ros.signals import TDUpdate
+from leg_node.shared import Changes, UpdateBatch
 from leg_node.table import as_floats, as_ints
 
 _INT = ParameterType.PARAMETER_INTEGER
@@ -47,52 +47,54 @@ def _value(kind: int, value: Any) -> ParameterValue:
     return ParameterValue(type=kind, **{_FIELD[kind]: value})
 
 
-def write_push(push: Push) -> SetParametersAtomically.Request:
+def write_push(push: UpdateBatch) -> SetParametersAtomically.Request:
     """Return the request that carries a push."""
     fields: dict[str, Any] = {
         "leg": push.leg,
         "run": push.run,
         "epoch": push.epoch,
         "cells_sha256": push.cells_sha256,
-        "tick": array("q", [pair.tick for pair in push.pairs]),
-        "cell": array("q", [pair.cell for pair in push.pairs]),
-        "target": array("d", [pair.target for pair in push.pairs]),
+        "tick": array("q", [update.tick for update in push.updates]),
+        "cell": array("q", [update.cell for update in push.updates]),
+        "target": array("d", [update.target for update in push.updates]),
     }
     parameters = [_named(name, kind, fields[name]) for name, kind in _PUSH.items()]
     return SetParametersAtomically.Request(parameters=parameters)
 
 
-def read_push(request: SetParametersAtomically.Request) -> Push:
+def read_push(request: SetParametersAtomically.Request) -> UpdateBatch:
     """Return the push in a request.
 
     Raises:
-        PushError: a field is missing, unknown, twice there, of the wrong type, or the arrays are
+        UpdateError: a field is missing, unknown, twice there, of the wrong type, or the arrays are
             of unequal length.
     """
     fields: dict[str, Any] = {}
     for parameter in request.parameters:
         name, kind = parameter.name, parameter.value.type
         if name not in _PUSH or name in fields:
-            raise PushError(
+            raise UpdateError(
                 f"push: field {name!r} is unknown or twice there; once each of "
                 f"{', '.join(_PUSH)} would be right"
             )
         if kind != _PUSH[name]:
-            raise PushError(
+            raise UpdateError(
                 f"push: {name} has parameter type {kind}; {_PUSH[name]} "
                 f"({_FIELD[_PUSH[name]]}) would be right"
             )
         fields[name] = getattr(parameter.value, _FIELD[kind])
     missing = [name for name in _PUSH if name not in fields]
     if missing:
-        raise PushError(f"push: {', '.join(missing)} missing")
+        raise UpdateError(f"push: {', '.join(missing)} missing")
     lengths = [len(fields[name]) for name in ("tick", "cell", "target")]
     if len(set(lengths)) != 1:
-        raise PushError(
+        raise UpdateError(
             f"push: tick, cell and target have {lengths} entries; as many each would be right"
         )
-    pairs = tuple(map(Pair, fields["tick"], fields["cell"], fields["target"]))
-    return Push(fields["leg"], fields["run"], fields["epoch"], fields["cells_sha256"], pairs)
+    updates = tuple(map(TDUpdate, fields["tick"], fields["cell"], fields["target"]))
+    return UpdateBatch(
+        fields["leg"], fields["run"], fields["epoch"], fields["cells_sha256"], updates
+    )
 
 
 def write_pull(since: int | None, upto: int) -> GetParameters.Request:
@@ -113,7 +115,7 @@ def read_pull(request: GetParameters.Request) -> tuple[int | None, int | None, l
     """Return ``since``, ``upto`` (None where not given) and what is asked for, in order.
 
     Raises:
-        PushError: a name is not one of those that the service knows.
+        UpdateError: a name is not one of those that the service knows.
     """
     bounds: dict[str, int] = {}
     wanted: list[str] = []
@@ -122,9 +124,9 @@ def read_pull(request: GetParameters.Request) -> tuple[int | None, int | None, l
         if key in ("since", "upto") and number.removeprefix("-").isdecimal():
             bounds[key] = int(number)
             if not -(2**63) <= bounds[key] < 2**63:
-                raise PushError(f"pull: {name} is no 64-bit number")
+                raise UpdateError(f"pull: {name} is no 64-bit number")
         elif name not in ("version", "cells", "values", "visits", "about"):
-            raise PushError(
+            raise UpdateError(
                 f"pull: {name!r} is unknown; since=VERSION, upto=EPOCH, version, cells, "
                 "values, visits, about are known"
             )
@@ -157,10 +159,10 @@ def read_changes(response: GetParameters.Response) -> Changes:
     """Return what changed from the answer to ``write_pull``.
 
     Raises:
-        PushError: the answer is empty: the table refused the request.
+        UpdateError: the answer is empty: the table refused the request.
     """
     if len(response.values) != 6:
-        raise PushError("pull: the table node refused; its log says why")
+        raise UpdateError("pull: the table node refused; its log says why")
     version, cells, values, visits = response.values[2:]
     return Changes(
         version.integer_value,

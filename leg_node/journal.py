@@ -14,8 +14,8 @@ from typing import Any
 
 from ember_ros.errors import TableError
 from ember_ros.given import open_file
-from ember_ros.signals import Pair
-from leg_node.shared import Push
+from ember_ros.signals import TDUpdate
+from leg_node.shared import UpdateBatch
 
 ENDINGS = (".journal", ".snapshot.npz")
 """Behind the name of the table's file: the journal and the snapshot."""
@@ -23,15 +23,17 @@ MOST_PUSHES = 1024
 """Pushes after which a new snapshot is due: bounds the file and the time to read it."""
 
 
-def to_json(push: Push) -> list[Any]:
+def to_json(push: UpdateBatch) -> list[Any]:
     """Return a push as plain lists; floats survive JSON bit for bit."""
-    return [*push[:-1], [list(pair) for pair in push.pairs]]
+    return [*push[:-1], [list(update) for update in push.updates]]
 
 
-def from_json(content: list[Any]) -> Push:
+def from_json(content: list[Any]) -> UpdateBatch:
     """Return the push in plain lists."""
-    leg, run, epoch, cells_sha256, pairs = content
-    return Push(leg, run, epoch, cells_sha256, tuple(Pair(*pair) for pair in pairs))
+    leg, run, epoch, cells_sha256, updates = content
+    return UpdateBatch(
+        leg, run, epoch, cells_sha256, tuple(TDUpdate(*update) for update in updates)
+    )
 
 
 class Journal:
@@ -59,7 +61,7 @@ class Journal:
             raise TableError(f"cannot write {self.file}: {error.strerror}") from error
         self.pushes = 0
 
-    def add(self, push: Push) -> None:
+    def add(self, push: UpdateBatch) -> None:
         """Write a push down before it is acknowledged.
 
         Raises:
@@ -75,9 +77,9 @@ class Journal:
         self._out.write(json.dumps(content) + "\n")
         self._out.flush()  # to the system: it outlives this process
 
-    def read(self, generation: int) -> list[Push]:
+    def read(self, generation: int) -> list[UpdateBatch]:
         """Return the pushes since the snapshot of a generation, up to the first torn line."""
-        pushes: list[Push] = []
+        pushes: list[UpdateBatch] = []
         try:
             with open_file(self.file) as raw:
                 lines = raw.read().decode(errors="replace").splitlines()

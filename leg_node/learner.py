@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from ember_ros.params import Learning
-from ember_ros.signals import Pair, Transition
+from ember_ros.signals import TDUpdate, Transition
 from leg_node.value import ValueEstimate
 
 
@@ -30,14 +30,14 @@ class Learner(Protocol):
         """Return one value an action, to choose by."""
         ...
 
-    def learn(self, transition: Transition) -> Iterable[Pair]:
+    def learn(self, transition: Transition) -> Iterable[TDUpdate]:
         """Return what a transition changes, in order; called once a tick that can be credited.
 
         It may be about earlier transitions: SARSA knows the next action only one tick later.
         """
         ...
 
-    def reset(self) -> Iterable[Pair]:
+    def reset(self) -> Iterable[TDUpdate]:
         """Return what is left to be learnt when the chain of transitions breaks, and forget it.
 
         That is where a leg was put down, missed ticks, or ends.
@@ -61,13 +61,13 @@ class QLearning:
         self._gamma = numbers.gamma
         self._actions = shape[1]
 
-    def learn(self, transition: Transition) -> Iterable[Pair]:
+    def learn(self, transition: Transition) -> Iterable[TDUpdate]:
         """Return the update: towards the reward and the best that the next state promises."""
         tick = transition.tick
         best = max(self.q_values(tick, transition.next_state))
         cell = transition.state * self._actions + transition.action
-        return (Pair(tick, cell, transition.reward + self._gamma * best),)
+        return (TDUpdate(tick, cell, transition.reward + self._gamma * best),)
 
-    def reset(self) -> Iterable[Pair]:
+    def reset(self) -> Iterable[TDUpdate]:
         """Return nothing: every transition is learnt from at once."""
         return ()

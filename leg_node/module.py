@@ -61,7 +61,7 @@ class LegModule:
         """Begin a new life after ``last_tick``: time began anew, what was learnt stays."""
         self._apply_rest()
         self._task.reset()
-        self.copy.restart(last_tick, run)
+        self.copy.reset(last_tick, run)
 
     def credit(self, sense: LegSense) -> Transition:
         """Return what the tick that ended with ``sense`` was worth; nothing is learnt from it."""

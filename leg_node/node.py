@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from ember_ros import topics, wire
-from ember_ros.errors import ParameterError, PushError, SignalError
+from ember_ros.errors import ParameterError, SignalError, UpdateError
 from ember_ros.inbox import Inbox
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.seat import Seated
@@ -22,7 +22,7 @@ from ember_ros.spinning import HAND_IN_S, main_of
 from ember_ros.throttle import Throttle
 from leg_node import calls
 from leg_node.assembly import make_leg
-from leg_node.shared import Push
+from leg_node.shared import UpdateBatch
 from leg_node.table_file import load_table, save_table
 
 AGAIN_S = 0.5  # wall time until a leg that ends says a push again
@@ -100,7 +100,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
         self._held: Callable[[], None] | None = None  # what last waited for a push
         self._deadline = 0.0
         self._table_away = False
-        self._pushing: Push | None = None
+        self._pushing: UpdateBatch | None = None
 
         # Before the command: endpoints are discovered in the order they are made, so a world that
         # knows of the command knows that this leg says what it is paid.
@@ -190,9 +190,9 @@ class LegNode(Seated, Node):  # type: ignore[misc]
             return  # too late: the tick went on without
         try:
             self.module.copy.take(calls.read_changes(future.result()), upto)
-        except PushError as why:
+        except UpdateError as why:
             self._refuse(why)
-            self.module.copy.go_without(upto)
+            self.module.copy.skip_sync(upto)
         self._go_on()
 
     def _act(self, sense: LegSense, beat: Beat) -> None:
@@ -226,7 +226,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
         future = self._push.call_async(calls.write_push(push))
         future.add_done_callback(lambda done: self._pushed(done, push))
 
-    def _pushed(self, future: Future, push: Push) -> None:
+    def _pushed(self, future: Future, push: UpdateBatch) -> None:
         if push is self._pushing:
             self._pushing = None
         result = future.result().result

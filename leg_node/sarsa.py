@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from ember_ros.params import Learning
-from ember_ros.signals import Pair, Transition
+from ember_ros.signals import TDUpdate, Transition
 from leg_node.value import ValueEstimate
 
 LAMBDA = 0.7
@@ -40,7 +40,7 @@ class SarsaLambda:
         self._waiting: deque[Transition] = deque()
         """Transitions without their update, the oldest first, each following the one before."""
 
-    def learn(self, transition: Transition) -> Iterable[Pair]:
+    def learn(self, transition: Transition) -> Iterable[TDUpdate]:
         """Return the update of the transition of ``HORIZON`` ticks ago."""
         self._waiting.append(transition)
         if len(self._waiting) <= HORIZON:
@@ -48,7 +48,7 @@ class SarsaLambda:
         last = self._waiting[-1]
         return (self._update(self.q_values(last.tick, last.state)[last.action], HORIZON),)
 
-    def reset(self) -> Iterable[Pair]:
+    def reset(self) -> Iterable[TDUpdate]:
         """Return the updates of all that wait; after the last one its best action is taken."""
         updates = []
         while self._waiting:
@@ -58,7 +58,7 @@ class SarsaLambda:
             updates.append(self._update(ends, len(self._waiting) - 1))
         return updates
 
-    def _update(self, value: float, steps: int) -> Pair:
+    def _update(self, value: float, steps: int) -> TDUpdate:
         """Return the update of the oldest transition, and forget it.
 
         Args:
@@ -73,4 +73,4 @@ class SarsaLambda:
             value = (1.0 - LAMBDA) * believed + LAMBDA * value
             value = self._waiting[n].reward + gamma * value
         first = self._waiting.popleft()
-        return Pair(tick, first.state * self._actions + first.action, value)
+        return TDUpdate(tick, first.state * self._actions + first.action, value)

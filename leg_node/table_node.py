@@ -14,7 +14,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from ember_ros import topics
-from ember_ros.errors import EmberError, PushError, TableError
+from ember_ros.errors import EmberError, TableError, UpdateError
 from ember_ros.params import as_dict, cells_sha256
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.seat import Seated
@@ -171,11 +171,11 @@ class TableNode(Seated, Node):  # type: ignore[misc]
         try:
             since, upto, wanted = calls.read_pull(request)
             if since is not None and 0 <= since < self._born and not self._has_past:
-                raise PushError(
+                raise UpdateError(
                     f"pull: version {since} is of a table that was here before; this one was "
                     "started without its file, and does not overwrite what the leg knows"
                 )
-        except PushError as why:
+        except UpdateError as why:
             self._refuse(why)
             return response  # empty: all this type has to say no with
         changes = self.shared.pull(since, upto)

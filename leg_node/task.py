@@ -114,7 +114,7 @@ class LegTask:
             ParameterError: the reward gives a term that is none of its names.
         """
         did = self._pending
-        if did is None or sense.restart or did.tick + 1 != sense.tick:
+        if did is None or sense.first_tick or did.tick + 1 != sense.tick:
             return self.nothing_to_credit(sense.tick, state, stance)
         applied = self._reward.terms(sense, did.rewarded_as_stance)
         if not self._terms.issuperset(applied):

@@ -265,7 +265,7 @@ class BulletWorld(ABC):
             bullet.stepSimulation(client)
             self._feel(bullet.getContactPoints(robot, -1, -2, -2, client))  # -1, -2: with anything
         self._tick += 1
-        self._senses = self._sense(restart=False)
+        self._senses = self._sense(first_tick=False)
         self.work += self._worked
         self._read_body()
         if self._fell():
@@ -328,7 +328,7 @@ class BulletWorld(ABC):
         self._prepare()
         self._body_touched = False
         self._steps = 0
-        self._senses = self._sense(restart=self._tick > 0)
+        self._senses = self._sense(first_tick=self._tick > 0)
         self._read_body()
 
     @property
@@ -386,7 +386,7 @@ class BulletWorld(ABC):
             elif contact[3] in self._trunk:
                 self._body_touched = True
 
-    def _sense(self, *, restart: bool) -> tuple[LegSense, ...]:
+    def _sense(self, *, first_tick: bool) -> tuple[LegSense, ...]:
         """Read all sensors."""
         client = self._client
         joints = bullet.getJointStates(self._robot, self._read_joints, client)
@@ -406,7 +406,7 @@ class BulletWorld(ABC):
                     (hip[0], knee[0], hip[1], knee[1]),
                     foot[5],
                     foot[4][2],
-                    restart=restart,
+                    first_tick=first_tick,
                 )
             )
         self._worked = power * self.params.gait.tick_s

@@ -93,7 +93,9 @@ def check_beginning(make: Make, params: Params) -> None:
         f"{len(senses)} senses of {len(world.legs)} legs; one a leg would be right",
     )
     _hold({sense.tick for sense in senses} == {0}, "the first senses are not of tick 0")
-    _hold(not any(sense.restart for sense in senses), "restart is set at tick 0, before any fall")
+    _hold(
+        not any(sense.first_tick for sense in senses), "restart is set at tick 0, before any fall"
+    )
     _hold(world.body().falls == 0, "falls are counted before the first tick")
     _hold(not world.over, "over is set before the first tick")
     world.close()
@@ -113,7 +115,7 @@ def check_observing(make: Make, params: Params) -> None:
 
 
 def check_ticks(make: Make, params: Params) -> None:
-    """Hold that ticks count on over falls, and that a fall marks the next senses ``restart``."""
+    """Hold that ticks count on over falls, and that a fall marks the next senses ``first_tick``."""
     world = make()
     steps = drive(world, params, TICKS)
     for tick, (senses, _) in enumerate(steps):
@@ -122,7 +124,7 @@ def check_ticks(make: Make, params: Params) -> None:
     for (_, before), (senses, after) in pairwise(steps):
         tick = senses[0].tick
         _hold(after.falls >= before.falls, f"falls become fewer at tick {tick}")
-        marked = {sense.restart for sense in senses}
+        marked = {sense.first_tick for sense in senses}
         _hold(
             marked == {after.falls > before.falls},
             f"tick {tick}: falls went from {before.falls} to {after.falls}, restart is {marked}; "

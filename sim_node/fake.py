@@ -72,7 +72,7 @@ class FakeWorld:
     def reset(self) -> None:
         """Put everything as it was at tick 0."""
         self._tick = self._falls = 0
-        self._senses = self._stand(restart=False)
+        self._senses = self._stand(first_tick=False)
 
     def close(self) -> None:
         """Do nothing: there is nothing to let go of."""
@@ -95,14 +95,14 @@ class FakeWorld:
         )
         if self._tick in self._falls_at:
             self._falls += 1
-            self._senses = self._stand(restart=True)
+            self._senses = self._stand(first_tick=True)
 
-    def _stand(self, *, restart: bool) -> tuple[LegSense, ...]:
+    def _stand(self, *, first_tick: bool) -> tuple[LegSense, ...]:
         """Return the senses of legs that stand at rest."""
         hip, knee = self._standing
         foot = self._foot(hip, knee)
         sense = self._sense(hip, knee, 0.0, 0.0, foot, foot, slip=0.0)
-        return (sense._replace(restart=restart),) * len(self.legs)
+        return (sense._replace(first_tick=first_tick),) * len(self.legs)
 
     def _move(self, sense: LegSense, command: LegCommand | None) -> LegSense:
         """Return what a leg senses after a tick with a command."""

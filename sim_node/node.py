@@ -15,7 +15,7 @@ from ember_ros import topics, wire
 from ember_ros.bag.storage import BagOptions
 from ember_ros.errors import BagError, ParameterError, SignalError
 from ember_ros.observer import Observer
-from ember_ros.report.recorder import Recorder
+from ember_ros.report.run_statistics import RunStatistics
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.seat import Seated
 from ember_ros.signals import Beat, LegCommand, Transition
@@ -84,7 +84,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
         self._kind: str = options["world"]
         self.world = world or make_world(self._kind, params, options["seed"], gui=options["gui"])
         self.legs = self.world.legs
-        self.recorder = Recorder(params, self.legs, out)
+        self.recorder = RunStatistics(params, self.legs, out)
         self.observers: list[Observer] = [self.recorder]
         """Who is given every tick."""
         self._bag: BagObserver | None = None

@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 from rclpy.node import Node
 
 from ember_ros import topics, wire
-from ember_ros.bag.inquiry import Inquiry
-from ember_ros.bag.recording import Recording
-from ember_ros.bag.scribe import Scribe
+from ember_ros.bag.metadata_client import MetadataClient
+from ember_ros.bag.run_writer import RunWriter
 from ember_ros.bag.storage import BagOptions
+from ember_ros.bag.writer_process import WriterProcess
 from ember_ros.errors import SignalError
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 
@@ -33,9 +33,9 @@ class BagObserver:
             BagError: the bag cannot be made.
         """
         self._node, self._world = node, world
-        self._writer = Scribe(options)
-        self._inquiry = Inquiry(node, node.get_namespace())
-        self._recording: Recording | None = None
+        self._writer = WriterProcess(options)
+        self._inquiry = MetadataClient(node, node.get_namespace())
+        self._recording: RunWriter | None = None
 
     def begin(self, late: bool) -> bool:
         """Ask what determines the run; begin to record, and return True, when all have answered.
@@ -48,11 +48,11 @@ class BagObserver:
         """
         if self._inquiry.ask() and not late:
             return False
-        card, table, wrong = self._inquiry.card(self._world, 0)
+        run_metadata, table, wrong = self._inquiry.run_metadata(self._world, 0)
         for why in wrong:
             self._node.get_logger().warning(f"the bag cannot be replayed: {why}")
         namespace = self._node.get_namespace()
-        self._recording = Recording(self._writer, card, table, namespace=namespace)
+        self._recording = RunWriter(self._writer, run_metadata, table, namespace=namespace)
         return True
 
     def tick(

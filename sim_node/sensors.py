@@ -74,7 +74,7 @@ class LegSensors:
         foot: Sequence[float],
         height: float,
         *,
-        restart: bool,
+        first_tick: bool,
     ) -> LegSense:
         """Return what the leg senses at the end of a tick.
 
@@ -84,7 +84,7 @@ class LegSensors:
             joints: angles of hip and knee, rad, then their speeds, rad/s.
             foot: orientation of the foot's link in the world, a quaternion x, y, z, w.
             height: of the foot's middle over the ground, m.
-            restart: whether the leg was put down just now.
+            first_tick: whether the leg was put down just now.
         """
         x, y, z, w = foot
         # Gravity in the shank's frame, as an accelerometer there reads it.
@@ -112,5 +112,5 @@ class LegSensors:
             slip,
             height - self._radius < self._hair,
             self._last_step == step,
-            restart,
+            first_tick,
         )

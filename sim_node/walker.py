@@ -16,7 +16,7 @@ class WalkerWorld(BulletWorld):
 
     A fall is roll or pitch beyond ``walker.fall_angle``, the body on the ground, or hips under
     ``walker.fall_height`` for a whole cycle. It is counted; the robot is put back on its feet
-    where it fell, heading where it headed, and the senses of the next tick are marked ``restart``.
+    where it fell, heading where it headed, and the next senses are marked ``first_tick``.
     """
 
     def __init__(

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from support import runs
 from support.needs import ROS
 from support.ros import Ros, reserved_domain, ros_in
@@ -78,7 +78,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture
-def by_loop() -> Callable[[Plan], Bits]:
+def by_loop() -> Callable[[RunConfig], Bits]:
     """Run a plan in the loop, the specification, once a session."""
     return runs.by_loop
 

@@ -14,8 +14,8 @@ from ember_ros import parts
 from ember_ros.errors import ParameterError
 from ember_ros.loop import Loop
 from ember_ros.params import TRAINER_LEG, Learning, Params, replace
-from ember_ros.plan import Plan
-from ember_ros.signals import Beat, LegSense, Pair, Transition
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import Beat, LegSense, TDUpdate, Transition
 from leg_node.assembly import empty_table, make_discretizer, make_leg
 from leg_node.discretizer import Discretizer, PaperDiscretizer
 from leg_node.gait import GaitStep, HipRamp
@@ -92,16 +92,16 @@ class DoubleQ:
         both = (self._one.q_values(tick, state), self._two.q_values(tick, state))
         return [a + b for a, b in zip(*both, strict=True)]
 
-    def learn(self, transition: Transition) -> Iterable[Pair]:
+    def learn(self, transition: Transition) -> Iterable[TDUpdate]:
         """Return the update of one table by the other."""
         own = int(self._rng.integers(2))
         mine, other = (self._one, self._two)[:: 1 - 2 * own]
         row = mine.q_values(transition.tick, transition.next_state)
         best = other.q_values(transition.tick, transition.next_state)[row.index(max(row))]
         cell = (own * self._states + transition.state) * self._actions + transition.action
-        return [Pair(transition.tick, cell, transition.reward + self._gamma * best)]
+        return [TDUpdate(transition.tick, cell, transition.reward + self._gamma * best)]
 
-    def reset(self) -> Iterable[Pair]:
+    def reset(self) -> Iterable[TDUpdate]:
         """Return nothing."""
         return []
 
@@ -282,7 +282,7 @@ def test_a_partition_of_numbers_alone_may_be_too_large() -> None:
 def test_a_discretizer_of_one_s_own_is_learnt_in() -> None:
     """States of transitions and cells of the table are its own, and there are no others."""
     params = named(discretizer="Shaped")
-    loop, heard = Loop(Plan("walker", 2, params=params, policy="random"), FakeWorld()), Heard()
+    loop, heard = Loop(RunConfig("walker", 2, params=params, policy="random"), FakeWorld()), Heard()
     for _ in range(64):
         loop.tick(heard)
     table, mine = loop.finish(), Shaped(params)
@@ -295,7 +295,10 @@ def test_a_discretizer_of_one_s_own_is_learnt_in() -> None:
 
 def test_a_gait_of_one_s_own_decides_stance_and_hip() -> None:
     """The leg says so, is rewarded so, and drives its hip there."""
-    loop, heard = Loop(Plan("walker", 2, params=named(gait="AlwaysStance")), FakeWorld()), Heard()
+    loop, heard = (
+        Loop(RunConfig("walker", 2, params=named(gait="AlwaysStance")), FakeWorld()),
+        Heard(),
+    )
     for _ in range(64):
         loop.tick(heard)
     told = [did for each in heard.transitions for did in each]
@@ -310,7 +313,9 @@ def test_a_learner_of_two_tables_learns_in_both() -> None:
         named(discretizer="Shaped", learner="DoubleQ"),
         {"walk.sync_every": 8, "walk.smooth": 0.0, "walk.prior": 0.0},
     )
-    loop = Loop(Plan("walker", 3, params=params, policy="random", seed=2), FakeWorld(LEGS, params))
+    loop = Loop(
+        RunConfig("walker", 3, params=params, policy="random", seed=2), FakeWorld(LEGS, params)
+    )
     for _ in range(96):
         loop.tick()
     one, two = loop.finish().parts(2)

@@ -39,18 +39,18 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from ember_ros import topics, wire
-from ember_ros.bag import recording as recording_module
+from ember_ros.bag import run_writer as recording_module
 from ember_ros.bag import storage as storage_module
-from ember_ros.bag.card import Card
-from ember_ros.bag.reading import Bag
-from ember_ros.bag.recording import Recording, Told
+from ember_ros.bag.reader import Bag
 from ember_ros.bag.repair import Repaired, repair
-from ember_ros.bag.storage import METADATA, STORAGES, BagOptions, BagWriter, read_metadata, seal
+from ember_ros.bag.run_metadata import RunMetadata
+from ember_ros.bag.run_writer import RunWriter, TickMessages
+from ember_ros.bag.storage import METADATA, STORAGES, BagOptions, McapWriter, read_metadata, seal
 from ember_ros.errors import BagError
 from ember_ros.loop import Loop
 from ember_ros.observer import Observer
 from ember_ros.params import Params
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, BodyState
 from leg_node.assembly import empty_table
 from leg_node.table import Table
@@ -63,7 +63,7 @@ from support.waiting import DEADLINE_S
 PARAMS = Params()
 TICK_NS = PARAMS.gait.tick_ns
 FLUSH = recording_module.FLUSH_TICKS
-PLAN = Plan("walker", 1, seed=3)
+PLAN = RunConfig("walker", 1, seed=3)
 FALLS_AT = (5, 6, 40)
 VERSIONS = {"ember_ros": "of this test"}
 STRING = "std_msgs/msg/String"
@@ -89,16 +89,16 @@ class Written(NamedTuple):
 
 
 @contextmanager
-def writing(folder: Path, *, split_mb: float = 0.0, split_s: float = 0.0) -> Iterator[BagWriter]:
+def writing(folder: Path, *, split_mb: float = 0.0, split_s: float = 0.0) -> Iterator[McapWriter]:
     """Give a writer, and let go of its files if the test did not close it."""
-    writer = BagWriter(BagOptions(folder, split_mb, split_s))
+    writer = McapWriter(BagOptions(folder, split_mb, split_s))
     try:
         yield writer
     finally:
         writer.abandon()
 
 
-def put(writer: BagWriter, message: Written) -> None:
+def put(writer: McapWriter, message: Written) -> None:
     """Write a message."""
     writer.write(writer.channel(message.topic, message.kind), message.ns, message.data)
 
@@ -166,9 +166,9 @@ def start_table() -> Table:
     return table
 
 
-def run_loop(ticks: int, *observers: Observer, plan: Plan = PLAN) -> None:
+def run_loop(ticks: int, *observers: Observer, config: RunConfig = PLAN) -> None:
     """Run the loop in the fake world, which falls now and then."""
-    loop = Loop(plan, FakeWorld(plan.legs, PARAMS, falls_at=FALLS_AT))
+    loop = Loop(config, FakeWorld(config.legs, PARAMS, falls_at=FALLS_AT))
     for _ in range(ticks):
         loop.tick(*observers)
 
@@ -179,14 +179,14 @@ def record(
     *observers: Observer,
     split_mb: float = 0.0,
     split_s: float = 0.0,
-    plan: Plan = PLAN,
+    config: RunConfig = PLAN,
     finish: bool = True,
 ) -> Path:
     """Record a run of the loop into a bag, finished or abandoned; return its folder."""
     table = start_table()
     with writing(folder, split_mb=split_mb, split_s=split_s) as writer:
-        taking = Recording(writer, Card.of_plan(plan, table, VERSIONS), table)
-        run_loop(ticks, taking, *observers, plan=plan)
+        taking = RunWriter(writer, RunMetadata.of_config(config, table, VERSIONS), table)
+        run_loop(ticks, taking, *observers, config=config)
         if finish:
             taking.finish()
             writer.close()
@@ -377,7 +377,7 @@ def test_a_bag_is_never_written_over(tmp_path: Path) -> None:
     before = tree(tmp_path)
     for name in ("empty", "file", "link", "bag"):
         with pytest.raises(BagError, match=rf"{name} is there already, and a bag is never"):
-            BagWriter(BagOptions(tmp_path / name))
+            McapWriter(BagOptions(tmp_path / name))
     assert tree(tmp_path) == before
     assert not (tmp_path / "nowhere").exists()
 
@@ -386,7 +386,7 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
     """Below a file there is no folder: a BagError that names it and says why."""
     (tmp_path / "file").write_bytes(b"mine")
     with same_descriptors(), pytest.raises(BagError, match=r"file/bag: Not a directory"):
-        BagWriter(BagOptions(tmp_path / "file" / "bag"))
+        McapWriter(BagOptions(tmp_path / "file" / "bag"))
 
 
 def test_an_unknown_message_type_is_refused_and_costs_nothing_else(tmp_path: Path) -> None:
@@ -755,15 +755,15 @@ def test_a_recording_is_every_tick_in_one_order(world: str, tmp_path: Path) -> N
     In the order of a tick; falls only when there are more; a CRC message after each flush of ticks
     and at the end.
     """
-    heard, plan = Heard(), Plan(world, 1, seed=3)
+    heard, config = Heard(), RunConfig(world, 1, seed=3)
     ticks = 3 * FLUSH + 5
-    folder = record(tmp_path / "bag", ticks, heard, plan=plan)
+    folder = record(tmp_path / "bag", ticks, heard, config=config)
     found = written(folder)
     assert [(message.topic, message.ns) for message in found] == [
-        (topic, tick * TICK_NS) for topic, tick in expected_order(heard, plan.legs)
+        (topic, tick * TICK_NS) for topic, tick in expected_order(heard, config.legs)
     ]
     kinds = {message.topic: message.kind for message in found}
-    assert {kinds[f"/{leg}/{what}"] for leg in plan.legs for what in ("contact", "command")} == {
+    assert {kinds[f"/{leg}/{what}"] for leg in config.legs for what in ("contact", "command")} == {
         "sensor_msgs/msg/JointState"
     }
     assert kinds["/clock"] == "rosgraph_msgs/msg/Clock"
@@ -868,13 +868,13 @@ def test_card_and_table_come_back(run_of_64: tuple[Path, Heard]) -> None:
     folder, _ = run_of_64
     table = start_table()
     with Bag(folder) as bag:
-        assert bag.card == Card.of_plan(PLAN, table, VERSIONS)
+        assert bag.run_metadata == RunMetadata.of_config(PLAN, table, VERSIONS)
         assert bag.table is not None
-        assert bag.table.sha256() == table.sha256() == bag.card.start_table_sha256
+        assert bag.table.sha256() == table.sha256() == bag.run_metadata.start_table_sha256
         assert bag.params == PARAMS
     first = {message.topic: decoded(message) for message in written(folder)[:3]}
-    card = json.loads(first["/run/card"].data)
-    assert card["legs"]["rear_left"] == {
+    run_metadata = json.loads(first["/run/card"].data)
+    assert run_metadata["legs"]["rear_left"] == {
         "stage": "walk", "seed": 3, "policy": "learned", "learning": True, "shared": True,
         "start_cycle": 0,
     }  # fmt: skip
@@ -886,9 +886,9 @@ def test_card_and_table_come_back(run_of_64: tuple[Path, Heard]) -> None:
 
 def test_a_table_that_nobody_knew_is_not_made_up(tmp_path: Path) -> None:
     """Without a table the bag has none, and neither topic has a message."""
-    card = Card.of_plan(PLAN, start_table(), VERSIONS).without_table()
+    run_metadata = RunMetadata.of_config(PLAN, start_table(), VERSIONS).without_table()
     with writing(tmp_path / "bag") as writer:
-        taking = Recording(writer, card, None)
+        taking = RunWriter(writer, run_metadata, None)
         run_loop(3, taking)
         taking.finish()
         writer.close()
@@ -897,7 +897,7 @@ def test_a_table_that_nobody_knew_is_not_made_up(tmp_path: Path) -> None:
     assert not found & {"/run/values", "/run/visits"}
     with Bag(tmp_path / "bag") as bag:
         assert bag.table is None
-        assert bag.card == card
+        assert bag.run_metadata == run_metadata
 
 
 class Without:
@@ -923,7 +923,7 @@ def test_an_absent_command_leaves_no_message(tmp_path: Path) -> None:
         return tick in (0, 7, 31) and n != 2
 
     with writing(tmp_path / "bag") as writer:
-        taking = Recording(writer, Card.of_plan(PLAN, table, VERSIONS), table)
+        taking = RunWriter(writer, RunMetadata.of_config(PLAN, table, VERSIONS), table)
         run_loop(40, Without(taking, missing), Without(heard, missing))
         taking.finish()
         writer.close()
@@ -941,17 +941,17 @@ def test_the_same_run_makes_the_same_bytes(split_s: float, tmp_path: Path) -> No
 
     And the messages' files are equal whatever the bag is called.
     """
-    plan3, plan4 = Plan("walker", 1, seed=3), Plan("walker", 1, seed=4)
+    plan3, plan4 = RunConfig("walker", 1, seed=3), RunConfig("walker", 1, seed=4)
     bags = [
-        record(tmp_path / name / "bag", 70, plan=plan, split_s=split_s)
-        for name, plan in (("a", plan3), ("b", plan3), ("c", plan4))
+        record(tmp_path / name / "bag", 70, config=config, split_s=split_s)
+        for name, config in (("a", plan3), ("b", plan3), ("c", plan4))
     ]
     trees = [tree(bag) for bag in bags]
     assert trees[0] == trees[1]
     assert len(trees[0]) == (2 if split_s == 0.0 else 3)
     assert trees[0].keys() == trees[2].keys()
     assert trees[0] != trees[2]
-    renamed = record(tmp_path / "of_another_name", 70, plan=plan3, split_s=split_s)
+    renamed = record(tmp_path / "of_another_name", 70, config=plan3, split_s=split_s)
     assert [f.read_bytes() for f in files_of(renamed)] == [
         f.read_bytes() for f in files_of(bags[0])
     ]
@@ -961,9 +961,9 @@ def test_a_robot_in_a_namespace(tmp_path: Path) -> None:
     """All its topics are below it, and are otherwise the same."""
     table = start_table()
     for name, namespace in (("plain", ""), ("named", "/lab/robot_2/")):
-        card = Card.of_plan(PLAN, table, VERSIONS)
+        run_metadata = RunMetadata.of_config(PLAN, table, VERSIONS)
         with writing(tmp_path / name) as writer:
-            taking = Recording(writer, card, table, namespace=namespace)
+            taking = RunWriter(writer, run_metadata, table, namespace=namespace)
             run_loop(20, taking)
             taking.finish()
             writer.close()
@@ -976,10 +976,10 @@ def test_a_robot_in_a_namespace(tmp_path: Path) -> None:
         assert len(list(bag.ticks())) == 20
 
 
-def told(tick: int, *, silent: Sequence[int] = (), numb: Sequence[int] = ()) -> Told:
+def told(tick: int, *, silent: Sequence[int] = (), numb: Sequence[int] = ()) -> TickMessages:
     """Return made-up messages of a tick; legs in ``silent`` have none, in ``numb`` no contact."""
     mark = b"%d" % tick
-    return Told(
+    return TickMessages(
         b"clock" + mark,
         None,
         b"odometry" + mark,
@@ -998,12 +998,14 @@ def test_bytes_that_were_heard_are_kept_as_they_are(tmp_path: Path) -> None:
     before and after a gap are in messages of their own.
     """
     table = start_table()
-    card = dataclasses.replace(Card.of_plan(PLAN, table, VERSIONS), first_tick=2**33 + 20)
+    run_metadata = dataclasses.replace(
+        RunMetadata.of_config(PLAN, table, VERSIONS), first_tick=2**33 + 20
+    )
     ticks = [*range(2**33 + 20, 2**33 + 45), *range(2**33 + 90, 2**33 + 93)]
     said = {tick: told(tick) for tick in ticks}
     said[ticks[3]] = told(ticks[3], silent=[1], numb=[2])
     with writing(tmp_path / "bag") as writer:
-        taking = Recording(writer, card, None)
+        taking = RunWriter(writer, run_metadata, None)
         for tick in ticks:
             taking.put(tick, said[tick])
         taking.finish()
@@ -1014,7 +1016,7 @@ def test_bytes_that_were_heard_are_kept_as_they_are(tmp_path: Path) -> None:
     heard = [message for message in found if not message.topic.startswith("/run/")]
     expected = []
     for tick, one in said.items():
-        senses = [each for pair in zip(one.joints, one.contacts, strict=True) for each in pair]
+        senses = [each for update in zip(one.joints, one.contacts, strict=True) for each in update]
         parts = [one.clock, one.odometry, *senses, one.phase, *one.commands, *one.transitions]
         expected += [(tick * TICK_NS, data) for data in parts if data is not None]
     assert [(message.ns, message.data) for message in heard] == expected
@@ -1034,12 +1036,12 @@ ENDLESS = """
 import sys
 from pathlib import Path
 import numpy as np
-from ember_ros.bag.card import Card
-from ember_ros.bag.recording import FLUSH_TICKS, Recording
+from ember_ros.bag.run_metadata import Card
+from ember_ros.bag.run_writer import FLUSH_TICKS, Recording
 from ember_ros.bag.storage import BagOptions, BagWriter
 from ember_ros.loop import Loop
 from ember_ros.params import Params
-from ember_ros.plan import Plan
+from ember_ros.run_config import Plan
 from leg_node.assembly import empty_table
 from sim_node.fake import FakeWorld
 
@@ -1127,7 +1129,7 @@ def test_a_kill_costs_what_was_not_flushed(ticks: int, tmp_path: Path) -> None:
 CHUNK, MAGIC = 0x06, 8
 
 
-class Record(NamedTuple):
+class RunRecord(NamedTuple):
     """A record of an MCAP file."""
 
     kind: int
@@ -1135,15 +1137,15 @@ class Record(NamedTuple):
     end: int
 
 
-def records_in(data: bytes) -> list[Record]:
+def records_in(data: bytes) -> list[RunRecord]:
     """Return the whole records of an MCAP file that may be cut off."""
-    found: list[Record] = []
+    found: list[RunRecord] = []
     at = MAGIC
     while at + 9 <= len(data):
         kind, length = struct.unpack_from("<BQ", data, at)
         if at + 9 + length > len(data):
             break
-        found.append(Record(kind, at, at + 9 + length))
+        found.append(RunRecord(kind, at, at + 9 + length))
         at = found[-1].end
     return found
 
@@ -1160,7 +1162,7 @@ class Whole(NamedTuple):
     data: bytes
     metadata: bytes
     messages: list[Written]
-    chunks: list[Record]
+    chunks: list[RunRecord]
     by_chunk: list[list[Written]]
 
 
@@ -1671,7 +1673,7 @@ def bag_for_readers(folder: Path, state: str) -> dict[str, int]:
     """Record a run into a bag that is as ``state`` says; return how many messages topics have."""
     table = start_table()
     with writing(folder, split_s=0.5 if state == "split" else 0.0) as writer:
-        taking = Recording(writer, Card.of_plan(PLAN, table, VERSIONS), table)
+        taking = RunWriter(writer, RunMetadata.of_config(PLAN, table, VERSIONS), table)
         run_loop(90, Extreme(taking))
         if state != "repaired":
             taking.finish()

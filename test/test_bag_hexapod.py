@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from ember_ros import topics
-from ember_ros.bag.card import Card
-from ember_ros.bag.reading import Bag
+from ember_ros.bag.reader import Bag
+from ember_ros.bag.run_metadata import RunMetadata
 from ember_ros.bag.storage import BagOptions
 from ember_ros.errors import BagError
 from ember_ros.graph import Graph, by_graph
@@ -21,16 +21,16 @@ from ember_ros.offline.relearn import relearn
 from ember_ros.offline.replay import by_loop, replay
 from ember_ros.params import Params, replace
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import BODY
+from ember_ros.report.run_statistics import BODY
+from ember_ros.run_config import RunConfig
 from ember_ros.versions import versions
 from leg_node.assembly import empty_table
 from sim_node.fake import FakeWorld
 from support import bags
 from support.bags import Made
 from support.command import ember
+from support.configs import SMALL, changed
 from support.needs import needs_bags, needs_bullet
-from support.plans import SMALL, changed
 from support.ros import Ros
 
 pytestmark = needs_bags
@@ -43,12 +43,12 @@ FALLS = {20, 50}
 PATIENCE_S = 30.0
 
 
-def hexapod(cycles: int = CYCLES, **options: Any) -> Plan:
+def hexapod(cycles: int = CYCLES, **options: Any) -> RunConfig:
     """Return a plan of six legs on a small table; options with ``__`` are parameters."""
     changes = {name: options.pop(name) for name in list(options) if "__" in name}
     six = {f"robot.{name}": getattr(ROBOT, name) for name in ROBOT.__dataclass_fields__}
     params = replace(changed(SMALL, **changes), six)
-    return Plan("walker", cycles, seed=3, params=params, **options)
+    return RunConfig("walker", cycles, seed=3, params=params, **options)
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +62,9 @@ def test_the_card_describes_the_robot(walked: Made) -> None:
     assert len(SIX) == 6
     with Bag(walked.bag) as bag:
         assert bag.legs == SIX
-        assert bag.params == walked.plan.params
-        assert bag.card is not None
-        assert bag.card.plan(CYCLES, None) == walked.plan
+        assert bag.params == walked.config.params
+        assert bag.run_metadata is not None
+        assert bag.run_metadata.config(CYCLES, None) == walked.config
         ticks = list(bag.ticks())
         assert (bag.damages, bag.stale) == ([], 0)
     assert len(ticks) == walked.ticks == CYCLES * TICKS
@@ -80,7 +80,7 @@ def test_a_bag_of_others_needs_the_parameters_of_its_robot(walked: Made, tmp_pat
     without_card = bags.write(tmp_path / "bag", raws)
     with pytest.raises(BagError, match=r"legs of other names than front_left, .*--params"):
         Bag(without_card)
-    with Bag(without_card, params=walked.plan.params) as bag, Bag(walked.bag) as whole:
+    with Bag(without_card, params=walked.config.params) as bag, Bag(walked.bag) as whole:
         assert list(bag.ticks()) == list(whole.ticks())
 
 
@@ -150,7 +150,7 @@ def test_a_world_records_six_legs_as_the_loop_does(ros: Ros, tmp_path: Path) -> 
     made = bags.record(tmp_path / "loop", own, falls_at=FALLS)
     assert learnt == made.table
     with Bag(tmp_path / "graph") as bag, Bag(made.bag) as of_loop:
-        assert bag.card == Card.of_plan(own, empty_table(own.params), versions())
+        assert bag.run_metadata == RunMetadata.of_config(own, empty_table(own.params), versions())
         assert list(bag.ticks()) == list(of_loop.ticks())
         done = replay(bag)
     assert done.equal
@@ -176,7 +176,7 @@ def test_a_recorder_beside_six_legs_writes_what_the_world_writes(
     from support.robot import Robot, overrides
 
     own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
-    plan = hexapod()
+    config = hexapod()
     recorder = ros.add(
         RecorderNode(
             context=ros.context,
@@ -186,11 +186,11 @@ def test_a_recorder_beside_six_legs_writes_what_the_world_writes(
     )
     robot = Robot(
         ros,
-        plan,
+        config,
         namespace,
         without=["sim_node"],
         patience=PATIENCE_S,
-        world=lambda plan: FakeWorld(plan.legs, plan.params, falls_at=FALLS),
+        world=lambda config: FakeWorld(config.legs, config.params, falls_at=FALLS),
     )
     robot.begin(recorder, bag=str(own), recorder=True)
     robot.run()

@@ -15,21 +15,21 @@ from std_srvs.srv import SetBool
 
 from ember_ros import topics, wire
 from ember_ros.bag import player_node, recorder_node
-from ember_ros.bag.card import Card
-from ember_ros.bag.inquiry import Inquiry
+from ember_ros.bag.metadata_client import MetadataClient
 from ember_ros.bag.player_node import PlayerNode
-from ember_ros.bag.reading import Bag, Raw
+from ember_ros.bag.reader import Bag, Raw
 from ember_ros.bag.recorder_node import RecorderNode
-from ember_ros.bag.recording import Recording, absolute
 from ember_ros.bag.repair import repair
-from ember_ros.bag.storage import BagOptions, BagWriter, read_metadata, size_of
+from ember_ros.bag.run_metadata import RunMetadata
+from ember_ros.bag.run_writer import RunWriter, absolute
+from ember_ros.bag.storage import BagOptions, McapWriter, read_metadata, size_of
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.graph import Graph
 from ember_ros.loop import Loop
 from ember_ros.offline.relearn import relearn
 from ember_ros.offline.replay import replay
 from ember_ros.params import Params, as_dict, replace
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import LegCommand
 from ember_ros.versions import versions
 from leg_node.assembly import empty_table
@@ -39,9 +39,9 @@ from leg_node.table_node import TableNode
 from sim_node import node as sim_module
 from sim_node.fake import FakeWorld
 from support.bags import raws_of
+from support.configs import small_plan
 from support.legs import LEGS
 from support.needs import needs_bags
-from support.plans import small_plan
 from support.robot import PATIENCE_S, Robot, matched, overrides
 from support.ros import Ros
 
@@ -54,20 +54,22 @@ TICK_NS = Params().gait.tick_ns
 FALLS = {50, 51}
 
 
-def plan(cycles: int = CYCLES, **options: Any) -> Plan:
+def config(cycles: int = CYCLES, **options: Any) -> RunConfig:
     """Return a plan of a small walker; options with ``__`` in their names are parameters."""
     return small_plan(cycles, **options)
 
 
-def world_of(plan: Plan) -> FakeWorld:
+def world_of(config: RunConfig) -> FakeWorld:
     """Return a world without physics, in which the robot falls twice."""
-    return FakeWorld(plan.legs, plan.params, falls_at=FALLS)
+    return FakeWorld(config.legs, config.params, falls_at=FALLS)
 
 
-def robot_of(ros: Ros, plan: Plan, namespace: str = "", **how: Any) -> Robot:
+def robot_of(ros: Ros, config: RunConfig, namespace: str = "", **how: Any) -> Robot:
     """Start all nodes of a plan but the world, which robot.begin starts."""
     without = ["sim_node", *how.pop("without", [])]
-    return Robot(ros, plan, namespace, without=without, patience=PATIENCE_S, world=world_of, **how)
+    return Robot(
+        ros, config, namespace, without=without, patience=PATIENCE_S, world=world_of, **how
+    )
 
 
 def recording(ros: Ros, folder: Path, namespace: str = "", **parameters: Any) -> Any:
@@ -125,17 +127,17 @@ def warnings(ros: Ros) -> Callable[[], str]:
     return said
 
 
-def by_loop(folder: Path, plan: Plan, *namespaces: str) -> Path:
+def by_loop(folder: Path, config: RunConfig, *namespaces: str) -> Path:
     """Record a run in the loop, the same for each namespace, into one bag."""
-    writer = BagWriter(BagOptions(folder))
+    writer = McapWriter(BagOptions(folder))
     try:
-        loop = Loop(plan, world_of(plan))
-        card = Card.of_plan(plan, loop.shared.table, versions())
+        loop = Loop(config, world_of(config))
+        run_metadata = RunMetadata.of_config(config, loop.shared.table, versions())
         recordings = [
-            Recording(writer, card, loop.shared.table, namespace=each)
+            RunWriter(writer, run_metadata, loop.shared.table, namespace=each)
             for each in namespaces or [""]
         ]
-        for _ in range(plan.cycles * TICKS):
+        for _ in range(config.cycles * TICKS):
             loop.tick(*recordings)
         for each in recordings:
             each.finish()
@@ -153,7 +155,7 @@ def told(bag: Path) -> list[Raw]:
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give the bag of a run of a loop."""
-    return by_loop(tmp_path_factory.mktemp("walked") / "bag", plan())
+    return by_loop(tmp_path_factory.mktemp("walked") / "bag", config())
 
 
 # -- the recorder beside a robot ---------------------------------------------------------------
@@ -168,7 +170,7 @@ def test_a_recorder_writes_the_bytes_that_the_world_writes(
     own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
     said = warnings(ros)
     recorder = recording(ros, heard, namespace)
-    robot = robot_of(ros, plan(), namespace)
+    robot = robot_of(ros, config(), namespace)
     robot.begin(recorder, bag=str(own))
     robot.run()
     until_recorded(ros, recorder, ALL, namespace)
@@ -189,8 +191,8 @@ def test_a_recorder_writes_the_bytes_that_the_world_writes(
 @pytest.mark.slow
 def test_a_recorder_records_every_robot_on_the_graph(ros: Ros, tmp_path: Path) -> None:
     """Two robots, one's name the beginning of the other's, one bag: each is replayed by itself."""
-    plans = {"robot_1": plan(seed=8), "robot_12": plan(seed=9, walk__sync_every=4)}
-    robots = {name: robot_of(ros, each, name) for name, each in plans.items()}
+    configs = {"robot_1": config(seed=8), "robot_12": config(seed=9, walk__sync_every=4)}
+    robots = {name: robot_of(ros, each, name) for name, each in configs.items()}
     recorder = recording(ros, tmp_path / "bag", all_robots=True)
     for name in robots:
         ros.spin_until(
@@ -209,13 +211,13 @@ def test_a_recorder_records_every_robot_on_the_graph(ros: Ros, tmp_path: Path) -
         Bag(tmp_path / "bag")
     for name, robot in robots.items():
         with Bag(tmp_path / "bag", namespace=name) as bag:
-            assert bag.card is not None
-            assert bag.card.legs["rear_left"].seed == plans[name].seed
+            assert bag.run_metadata is not None
+            assert bag.run_metadata.legs["rear_left"].seed == configs[name].seed
             done = replay(bag)
         assert (done.difference, done.missing, done.ticks) == (None, None, ALL)
         assert done.table.sha256() == robot.table
         alone = tmp_path / name / "bag"
-        by_loop(alone, plans[name])
+        by_loop(alone, configs[name])
         with Bag(alone) as bag:
             assert replay(bag).table.sha256() == robot.table
 
@@ -226,7 +228,7 @@ def test_a_recorder_that_joins_late_and_leaves_early_says_so_and_holds_nobody(
 ) -> None:
     """The card has the first tick, a replay refuses in words, what is there can be learnt from."""
     said = warnings(ros)
-    robot = robot_of(ros, plan(10**6))
+    robot = robot_of(ros, config(10**6))
     robot.begin(patience=2.0)
     robot.walk_to(100)
     joined = robot.tick
@@ -238,8 +240,8 @@ def test_a_recorder_that_joins_late_and_leaves_early_says_so_and_holds_nobody(
     assert "recorded from tick" in said()
     assert "not waited for any more" not in said()
     with Bag(tmp_path / "bag") as bag:
-        assert bag.card is not None
-        first = bag.card.first_tick
+        assert bag.run_metadata is not None
+        first = bag.run_metadata.first_tick
         assert first >= joined - 1
         assert next(bag.raw()).ns == first * TICK_NS
         ticks = list(bag.ticks())
@@ -267,8 +269,12 @@ def test_a_table_that_was_asked_for_too_late_is_not_the_one_at_the_start(
     recorder.finish(ros.spin_once)
     assert "legs had already learnt" in said()
     with Bag(tmp_path / "bag") as bag:
-        assert bag.card is not None
-        assert (bag.card.first_tick, bag.card.start_table_sha256, bag.table) == (0, None, None)
+        assert bag.run_metadata is not None
+        assert (bag.run_metadata.first_tick, bag.run_metadata.start_table_sha256, bag.table) == (
+            0,
+            None,
+            None,
+        )
         with pytest.raises(BagError, match="table at its start was not asked for in time"):
             replay(bag)
 
@@ -278,7 +284,7 @@ def test_a_leg_that_dies_costs_its_commands_and_nothing_else(ros: Ros, tmp_path:
     """The others, all senses and the body are there, tick by tick; the replay is equal."""
     own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
     recorder = recording(ros, heard)
-    robot = robot_of(ros, plan(10**6, learning=False))
+    robot = robot_of(ros, config(10**6, learning=False))
     robot.begin(recorder, bag=str(own), patience=0.5)
     until_recorded(ros, recorder, 40)
     robot.kill("leg_rear_left")
@@ -434,7 +440,7 @@ def test_time_that_begins_anew_ends_the_bag(
     ros: Ros, tmp_path: Path, walked: Path, at_once: None, life: int
 ) -> None:
     """One run a bag: the recorder is done, and nothing of the second run is in it."""
-    other = told(by_loop(tmp_path / "other", plan(seed=4)))
+    other = told(by_loop(tmp_path / "other", config(seed=4)))
     recorder = recording(ros, tmp_path / "bag")
     voice = Voice(ros, recorder, told(walked), other)
     said = voice.say(range(life))
@@ -488,10 +494,10 @@ def test_what_is_no_message_is_not_recorded_and_disturbs_nobody(
 
 def test_the_world_asks_legs_and_table_what_determines_its_run(ros: Ros, tmp_path: Path) -> None:
     """Told nothing but the folder: the card is the plan's, the table the one at the start."""
-    table = empty_table(plan().params)
+    table = empty_table(config().params)
     table.values[::7], table.visits[::7] = 0.25, 3
-    save_table(tmp_path / "table.npz", table, plan().params, 0)
-    own = plan(
+    save_table(tmp_path / "table.npz", table, config().params, 0)
+    own = config(
         seed=7, policy="random", table=tmp_path / "table.npz", reward__slip=2.0,
         walk__smooth=0.3, physics__friction=0.9, walker__mass=4.0, trainer__tip_mass=2.0,
         leg__load=20.0, train__gamma=0.7,
@@ -506,7 +512,7 @@ def test_the_world_asks_legs_and_table_what_determines_its_run(ros: Ros, tmp_pat
         graph.finish()
         learnt = graph.nodes["table_node"].shared.table.sha256()
     with Bag(tmp_path / "bag") as bag:
-        assert bag.card == Card.of_plan(own, table, versions())
+        assert bag.run_metadata == RunMetadata.of_config(own, table, versions())
         assert bag.table is not None
         assert bag.table.sha256() == table.sha256()
         done = replay(bag)
@@ -538,7 +544,7 @@ def test_a_leg_of_others_making_is_recorded_and_not_replayed(
     """The bag says why it cannot be replayed, in the log and when it is tried; learning works."""
     monkeypatch.setattr(sim_module, "ANSWER_S", 0.5)
     said = warnings(ros)
-    robot = robot_of(ros, plan(2), without=["leg_rear_left"])
+    robot = robot_of(ros, config(2), without=["leg_rear_left"])
     robot.nodes["other"] = ros.add(
         OtherLeg("rear_left", context=ros.context, start_parameter_services=services)
     )
@@ -547,8 +553,8 @@ def test_a_leg_of_others_making_is_recorded_and_not_replayed(
     robot.sim.finish(ros.spin_once)
     assert "cannot be replayed: rear_left does not say what it was told" in said()
     with Bag(tmp_path / "bag") as bag:
-        assert bag.card is not None
-        assert list(bag.card.legs) == [leg for leg in LEGS if leg != "rear_left"]
+        assert bag.run_metadata is not None
+        assert list(bag.run_metadata.legs) == [leg for leg in LEGS if leg != "rear_left"]
         ticks = list(bag.ticks())
         assert len(ticks) == 2 * TICKS
         assert {c.knee_speed for t in ticks if (c := t.commands[2]) is not None} == {0.0}
@@ -570,7 +576,7 @@ def test_legs_that_were_told_different_things_are_not_replayed(
     ros: Ros, tmp_path: Path, changes: dict[str, Any], says: str
 ) -> None:
     """No plan says what these legs did: the replay refuses and says why, the bag is whole."""
-    robot = robot_of(ros, plan(1), leg_rear_left=changes)
+    robot = robot_of(ros, config(1), leg_rear_left=changes)
     robot.begin(bag=str(tmp_path / "bag"))
     robot.run()
     with Bag(tmp_path / "bag") as bag:
@@ -586,7 +592,7 @@ def test_a_disk_that_is_full_ends_the_run_with_an_error(
 ) -> None:
     """The world does not walk on unrecorded: a BagError; what was flushed is brought back."""
     folder = tmp_path / "bag"
-    long = plan(10**6)
+    long = config(10**6)
     graph = Graph(
         long, patience=PATIENCE_S, bag=BagOptions(folder), world=world_of(long), context=ros.context
     )
@@ -611,7 +617,7 @@ def test_a_disk_that_is_full_ends_the_run_with_an_error(
 
 def test_a_writer_that_is_killed_ends_the_run_with_an_error(ros: Ros, tmp_path: Path) -> None:
     """Whatever became of who writes, the run ends with a BagError that says what to do."""
-    long = plan(10**6)
+    long = config(10**6)
     graph = Graph(
         long,
         patience=PATIENCE_S,
@@ -726,7 +732,7 @@ def test_a_robot_in_a_namespace_is_played_alone_and_sets_the_clock_too(
     ros: Ros, tmp_path: Path, clock: Clock
 ) -> None:
     """Of two robots in a bag one is heard, also if the other's name begins like its own."""
-    folder = by_loop(tmp_path / "bag", plan(1), "robot_1", "robot_12", "robot_1/trailer")
+    folder = by_loop(tmp_path / "bag", config(1), "robot_1", "robot_12", "robot_1/trailer")
     playing = Playing(ros, folder, "robot_1")
     playing.play()
     own = {topic for topic in playing.bag.connections if topic.startswith("/robot_1/")}
@@ -741,7 +747,7 @@ def test_a_robot_without_a_namespace_is_played_alone(
     ros: Ros, tmp_path: Path, clock: Clock
 ) -> None:
     """What is in the bag of a robot in a namespace is not heard of the one that has none."""
-    folder = by_loop(tmp_path / "bag", plan(1), "", "robot_1")
+    folder = by_loop(tmp_path / "bag", config(1), "", "robot_1")
     playing = Playing(ros, folder, "")
     playing.play()
     assert not [topic for topic in playing.heard if topic.startswith("/robot_1/")]
@@ -784,7 +790,7 @@ def test_what_lies_before_the_start_is_left_out(
     playing.bag.close()
 
 
-def live_leg(ros: Ros, own: Plan, leg: str) -> Any:
+def live_leg(ros: Ros, own: RunConfig, leg: str) -> Any:
     """Return a leg that shares no table."""
     numbers = {
         f"{group}.{field}": value
@@ -803,7 +809,7 @@ def test_a_live_leg_is_waited_for_and_answers_every_tick(
 
     The leg is written by hand, so what it does live is what was recorded.
     """
-    own = plan(2, policy="scripted", learning=False)
+    own = config(2, policy="scripted", learning=False)
     folder = by_loop(tmp_path / "bag", own)
     options: dict[str, Any] = {"rate": 10.0, "live": ["front_left"]}
     playing = Playing(ros, folder, paused=False, **options) if onlooker else None
@@ -838,13 +844,13 @@ def test_a_player_refuses_what_it_cannot_play(ros: Ros, walked: Path) -> None:
 # -- asking ------------------------------------------------------------------------------------
 
 PLANS = {
-    "walker": plan(0),
-    "walker, other numbers": plan(
+    "walker": config(0),
+    "walker, other numbers": config(
         0, seed=11, policy="random", learning=False, walk__gamma=0.5, reward__slip=2.5,
         walker__mass=4.0, physics__friction=0.8, leg__load=20.0,
         robot__offset=(0.0, 0.5, 0.25, 0.0), parts__cpg="support.oscillators.Hurrying",
     ),
-    "trainer": Plan("trainer", 0, seed=2, params=replace(Params(), {"trainer.tip_mass": 2.0})),
+    "trainer": RunConfig("trainer", 0, seed=2, params=replace(Params(), {"trainer.tip_mass": 2.0})),
 }  # fmt: skip
 
 
@@ -856,31 +862,31 @@ def test_what_nodes_say_is_what_their_plan_was(ros: Ros, name: str, namespace: s
     with closing(
         Graph(own, patience=PATIENCE_S, namespace=namespace, context=ros.context)
     ) as graph:
-        inquiry = Inquiry(ros.node, namespace)
+        inquiry = MetadataClient(ros.node, namespace)
         assert inquiry.world is None
         ros.spin_until(lambda: not inquiry.ask(), "all have answered", graph.spin_once)
         assert inquiry.world == own.world
-        card, table, wrong = inquiry.card(own.world, 0)
+        run_metadata, table, wrong = inquiry.run_metadata(own.world, 0)
         empty = empty_table(own.params)
-        assert card == Card.of_plan(own, empty, versions())
+        assert run_metadata == RunMetadata.of_config(own, empty, versions())
         assert wrong == []
-        assert card.params.parts.cpg == own.params.parts.cpg
+        assert run_metadata.params.parts.cpg == own.params.parts.cpg
         assert table is not None
         assert table.sha256() == empty.sha256()
         # Of a later tick on the same nodes: what the table was at the start is not known.
-        card, table, wrong = inquiry.card(own.world, 7)
-        assert (card.first_tick, card.start_table_sha256, table) == (7, None, None)
+        run_metadata, table, wrong = inquiry.run_metadata(own.world, 7)
+        assert (run_metadata.first_tick, run_metadata.start_table_sha256, table) == (7, None, None)
         assert "recorded from tick 7 on" in " ".join(wrong)
 
 
 def test_nobody_who_answers_is_said_with_names(ros: Ros) -> None:
     """Where no robot is, who was waited for is named, and the card claims nothing."""
-    inquiry = Inquiry(ros.node, "")
+    inquiry = MetadataClient(ros.node, "")
     for _ in range(20):
         ros.spin_once(0.001)
         assert inquiry.ask() == ["clock", "cpg/phase", "table/pull"]
-    card, table, wrong = inquiry.card("walker", 0)
-    assert (dict(card.legs), card.start_table_sha256, table) == ({}, None, None)
+    run_metadata, table, wrong = inquiry.run_metadata("walker", 0)
+    assert (dict(run_metadata.legs), run_metadata.start_table_sha256, table) == ({}, None, None)
     for leg in LEGS:
         assert any(why.startswith(f"{leg} does not say") for why in wrong)
     assert "nobody serves a table" in wrong

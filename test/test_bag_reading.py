@@ -23,16 +23,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ember_ros import topics, wire
-from ember_ros.bag import look
-from ember_ros.bag.card import FORMAT, Card, LegCard, read_card
-from ember_ros.bag.reading import Bag, Raw, Tick
-from ember_ros.bag.recording import FLUSH_TICKS, Recording, crc_of
+from ember_ros.bag import inspection
+from ember_ros.bag.reader import Bag, Raw, Tick
+from ember_ros.bag.run_metadata import FORMAT, LegMetadata, RunMetadata, read_run_metadata
+from ember_ros.bag.run_writer import FLUSH_TICKS, RunWriter, crc_of
 from ember_ros.bag.storage import (
     INFORMATION,
     METADATA,
     STORAGES,
     BagOptions,
-    BagWriter,
+    McapWriter,
     definition,
     seal,
 )
@@ -41,8 +41,8 @@ from ember_ros.errors import BagError, ParameterError
 from ember_ros.loop import Loop
 from ember_ros.offline.replay import replay
 from ember_ros.params import TRAINER_LEG, Params, as_dict, digest, params_sha256, replace
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import BODY, Recorder, Row, load_record
+from ember_ros.report.run_statistics import BODY, Row, RunStatistics, load_record
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from ember_ros.worlds import legs_of
 from leg_node.assembly import empty_table
@@ -51,9 +51,9 @@ from leg_node.reward import PaperReward
 from sim_node.fake import FakeWorld
 from support import bags
 from support.bags import raws_of
+from support.configs import TINY as PARAMS
 from support.legs import LEGS
 from support.needs import needs_bags
-from support.plans import TINY as PARAMS
 
 pytestmark = needs_bags
 
@@ -111,7 +111,7 @@ class Run(NamedTuple):
 
     bag: Path
     heard: list[Tick]
-    plan: Plan
+    config: RunConfig
     rows: list[Row]
     """Of the ``cycles.csv`` that was written beside it."""
 
@@ -131,20 +131,20 @@ def record(
     falls_at: Sequence[int] = (),
     params: Params = PARAMS,
     seed: int = 0,
-    writer: BagWriter | None = None,
+    writer: McapWriter | None = None,
 ) -> Run:
     """Record a run, as ``ember_ros.run`` does; into an open bag if a writer is given."""
-    plan = Plan(world, 1, seed=seed, params=params, policy="random")
-    loop = Loop(plan, Nodding(plan.legs, params, falls_at=falls_at))
+    config = RunConfig(world, 1, seed=seed, params=params, policy="random")
+    loop = Loop(config, Nodding(config.legs, params, falls_at=falls_at))
     listener, recorder = (
         Listener(),
-        Recorder(params, plan.legs, bag.with_name(f"{bag.name}-beside")),
+        RunStatistics(params, config.legs, bag.with_name(f"{bag.name}-beside")),
     )
-    into = writer or BagWriter(BagOptions(bag, split_s=split_s))
+    into = writer or McapWriter(BagOptions(bag, split_s=split_s))
     try:
         table = loop.shared.table
-        card = Card.of_plan(plan, table, {"ember_ros": "test"})
-        recording = Recording(into, card, table, namespace=namespace)
+        run_metadata = RunMetadata.of_config(config, table, {"ember_ros": "test"})
+        recording = RunWriter(into, run_metadata, table, namespace=namespace)
         for _ in range(ticks):
             loop.tick(listener, recorder, recording)
         recording.finish()
@@ -158,7 +158,7 @@ def record(
     if storage == "sqlite3":
         in_sqlite(bag)
     rows = load_record(bag.with_name(f"{bag.name}-beside")).rows
-    return Run(bag, listener.heard, plan, rows)
+    return Run(bag, listener.heard, config, rows)
 
 
 def in_sqlite(bag: Path) -> Path:
@@ -480,8 +480,8 @@ every_params = st.builds(
         },
     ),
 )
-plans = st.builds(
-    Plan,
+configs = st.builds(
+    RunConfig,
     st.sampled_from(["walker", "trainer"]),
     st.integers(0, 10**6),
     seed=st.integers(0, 2**63 - 1),
@@ -493,26 +493,30 @@ plans = st.builds(
 
 
 @settings(max_examples=60)
-@given(plan=plans, versions=st.dictionaries(st.text(max_size=9), st.text(max_size=9), max_size=3))
-def test_a_card_says_the_whole_plan(plan: Plan, versions: dict[str, str]) -> None:
+@given(
+    config=configs, versions=st.dictionaries(st.text(max_size=9), st.text(max_size=9), max_size=3)
+)
+def test_a_card_says_the_whole_plan(config: RunConfig, versions: dict[str, str]) -> None:
     """Through JSON and back: the same card, to the bit, and the plan that it was made of."""
-    table = empty_table(plan.params)
-    card = Card.of_plan(plan, table, versions)
-    again = read_card(card.to_json(), "here")
-    assert again == card
-    assert repr(as_dict(again.params)) == repr(as_dict(plan.params))
+    table = empty_table(config.params)
+    run_metadata = RunMetadata.of_config(config, table, versions)
+    again = read_run_metadata(run_metadata.to_json(), "here")
+    assert again == run_metadata
+    assert repr(as_dict(again.params)) == repr(as_dict(config.params))
     assert again.start_table_sha256 == table.sha256()
-    assert list(again.legs) == list(plan.legs)
-    assert again.plan(plan.cycles, plan.table) == plan
-    content = json.loads(card.to_json())
-    assert content["params_sha256"] == params_sha256(plan.params)
+    assert list(again.legs) == list(config.legs)
+    assert again.config(config.cycles, config.table) == config
+    content = json.loads(run_metadata.to_json())
+    assert content["params_sha256"] == params_sha256(config.params)
 
 
-def _told(card: Card, leg: str, **changes: Any) -> dict[str, LegCard]:
-    return {**card.legs, leg: card.legs[leg]._replace(**changes)}
+def _told(run_metadata: RunMetadata, leg: str, **changes: Any) -> dict[str, LegMetadata]:
+    return {**run_metadata.legs, leg: run_metadata.legs[leg]._replace(**changes)}
 
 
-WHOLE = Card.of_plan(Plan("walker", 1, params=PARAMS), empty_table(PARAMS), {"numpy": "2"})
+WHOLE = RunMetadata.of_config(
+    RunConfig("walker", 1, params=PARAMS), empty_table(PARAMS), {"numpy": "2"}
+)
 
 
 @pytest.mark.parametrize(
@@ -537,20 +541,20 @@ WHOLE = Card.of_plan(Plan("walker", 1, params=PARAMS), empty_table(PARAMS), {"nu
 )
 def test_what_cannot_be_replayed_says_why(changes: dict[str, Any], says: Sequence[str]) -> None:
     """A run whose beginning, table or legs are not known has no plan; the message names it."""
-    card = dataclasses.replace(WHOLE, **changes)
-    again = read_card(card.to_json(), "here")
-    assert again == card
+    run_metadata = dataclasses.replace(WHOLE, **changes)
+    again = read_run_metadata(run_metadata.to_json(), "here")
+    assert again == run_metadata
     with pytest.raises(BagError, match="cannot be replayed") as refused:
-        again.plan(1, None)
+        again.config(1, None)
     for each in says:
         assert each in str(refused.value)
 
 
 def test_a_card_without_a_table_keeps_the_rest() -> None:
     """Only what nobody knows is left out."""
-    card = WHOLE.without_table()
-    assert card.start_table_sha256 is None
-    assert dataclasses.replace(card, start_table_sha256=WHOLE.start_table_sha256) == WHOLE
+    run_metadata = WHOLE.without_table()
+    assert run_metadata.start_table_sha256 is None
+    assert dataclasses.replace(run_metadata, start_table_sha256=WHOLE.start_table_sha256) == WHOLE
 
 
 @pytest.mark.parametrize("format", [FORMAT + 1, 0, -1, "1", None, [1]])
@@ -558,7 +562,7 @@ def test_a_card_of_another_format_is_not_guessed_at(format: Any) -> None:
     """Its number is said, and the one that is known, and who would know it."""
     text = json.dumps({**json.loads(WHOLE.to_json()), "format": format})
     with pytest.raises(BagError, match="newer ember_ros") as refused:
-        read_card(text, "the bag: /run/card")
+        read_run_metadata(text, "the bag: /run/card")
     assert "the bag: /run/card" in str(refused.value)
     assert repr(format) in str(refused.value)
     assert f"knows {FORMAT}" in str(refused.value)
@@ -568,14 +572,14 @@ def test_a_card_of_another_format_is_not_guessed_at(format: Any) -> None:
 def test_a_card_that_was_cut_off_is_none(length: int) -> None:
     """Wherever it ends: refused, and it is said where it was."""
     with pytest.raises(BagError, match="the bag: /run/card"):
-        read_card(WHOLE.to_json()[:length], "the bag: /run/card")
+        read_run_metadata(WHOLE.to_json()[:length], "the bag: /run/card")
 
 
 @pytest.mark.parametrize("text", ["", "null", "[]", "7", '"format"', "{}", "{'format': 1}", "\0"])
 def test_other_json_is_no_card(text: str) -> None:
     """Whatever it is: refused in words."""
     with pytest.raises(BagError, match="is no card of a run"):
-        read_card(text, "here")
+        read_run_metadata(text, "here")
 
 
 @pytest.mark.parametrize("key", sorted(json.loads(WHOLE.to_json()).keys() - {"params_sha256"}))
@@ -584,16 +588,18 @@ def test_a_card_without_a_key_is_not_whole(key: str) -> None:
     content = json.loads(WHOLE.to_json())
     del content[key]
     with pytest.raises(BagError, match=key):
-        read_card(json.dumps(content), "here")
+        read_run_metadata(json.dumps(content), "here")
 
 
-@pytest.mark.parametrize("key", [n for n in LegCard._fields if n not in LegCard._field_defaults])
+@pytest.mark.parametrize(
+    "key", [n for n in LegMetadata._fields if n not in LegMetadata._field_defaults]
+)
 def test_a_leg_on_a_card_without_a_key_is_not_whole(key: str) -> None:
     """The key that is missing is named."""
     content = json.loads(WHOLE.to_json())
     del content["legs"]["rear_left"][key]
     with pytest.raises(BagError, match=key):
-        read_card(json.dumps(content), "here")
+        read_run_metadata(json.dumps(content), "here")
 
 
 @pytest.mark.parametrize(
@@ -621,21 +627,21 @@ def test_a_card_with_a_value_of_another_kind_is_not_whole(key: str, value: Any) 
     """Whoever reads a card can rely on the types of what it says."""
     text = json.dumps({**json.loads(WHOLE.to_json()), key: value})
     with pytest.raises(BagError, match="no whole card"):
-        read_card(text, "here")
+        read_run_metadata(text, "here")
 
 
 def test_a_card_with_parameters_that_were_changed_is_damaged() -> None:
     """Its SHA-256 is that of what was stored, names that nobody knows among it."""
     text = json.dumps({**json.loads(WHOLE.to_json()), "params": {"gait": {"perod": 0.5}}})
     with pytest.raises(BagError, match="damaged: its parameters do not have the SHA-256"):
-        read_card(text, "here")
+        read_run_metadata(text, "here")
 
 
 def test_a_leg_on_an_older_card_started_at_cycle_0() -> None:
     """A card of before a run could go on says no start cycle."""
     content = json.loads(WHOLE.to_json())
     del content["legs"]["rear_left"]["start_cycle"]
-    assert read_card(json.dumps(content), "here").legs["rear_left"].start_cycle == 0
+    assert read_run_metadata(json.dumps(content), "here").legs["rear_left"].start_cycle == 0
 
 
 # -- what was recorded is read back --------------------------------------------------------------
@@ -667,10 +673,10 @@ def test_every_tick_comes_back_with_all_its_bits(
         assert (opened.world, opened.legs) == (world, legs_of(world, PARAMS))
         assert opened.namespace == namespace
         assert opened.params == PARAMS
-        assert opened.card is not None
-        assert opened.card.plan(1, None) == run.plan
+        assert opened.run_metadata is not None
+        assert opened.run_metadata.config(1, None) == run.config
         assert opened.table is not None
-        assert opened.table.sha256() == opened.card.start_table_sha256
+        assert opened.table.sha256() == opened.run_metadata.start_table_sha256
         assert opened.messages(topics.PHASE) == len(run.heard)
         assert opened.start_ns == 0
         assert [raw.ns for raw in opened.raw()][-1] == (len(run.heard) - 1) * TICK_NS
@@ -694,12 +700,12 @@ def test_a_bag_can_be_read_again_and_again(walked: Run) -> None:
 
 def test_a_start_table_that_was_learnt_before_comes_back(tmp_path: Path) -> None:
     """All values and visits of it."""
-    plan = Plan("trainer", 1, params=PARAMS)
+    config = RunConfig("trainer", 1, params=PARAMS)
     table = empty_table(PARAMS)
     table.values[:] = [math.sin(n) for n in range(len(table))]
     table.visits[:] = range(len(table))
-    writer = BagWriter(BagOptions(tmp_path / "bag"))
-    Recording(writer, Card.of_plan(plan, table, {}), table).finish()
+    writer = McapWriter(BagOptions(tmp_path / "bag"))
+    RunWriter(writer, RunMetadata.of_config(config, table, {}), table).finish()
     writer.close()
     run = record(tmp_path / "run", 3, world="trainer")
     head = [raw for raw in heads_of(tmp_path / "bag") if "/run/" in raw.topic]
@@ -732,9 +738,9 @@ def test_commands_that_nobody_gave_are_none(tmp_path: Path) -> None:
         )
         for tick in run.heard
     ]
-    writer = BagWriter(BagOptions(tmp_path / "again"))
+    writer = McapWriter(BagOptions(tmp_path / "again"))
     table = empty_table(PARAMS)
-    recording = Recording(writer, Card.of_plan(run.plan, table, {}), table)
+    recording = RunWriter(writer, RunMetadata.of_config(run.config, table, {}), table)
     for tick, whole in zip(heard, run.heard, strict=True):
         recording.tick(tick.beat, senses_of(whole), tick.commands, tick.body, tick.transitions)
     recording.finish()
@@ -781,7 +787,7 @@ def test_order_and_log_times_do_not_matter(
     folder = tmp_path_factory.mktemp("others") / "bag"
     hold_equal(read(write_as_others_do(folder, shuffled, storage)), walked.heard)
     with Bag(folder) as opened:
-        assert opened.card is None
+        assert opened.run_metadata is None
         assert opened.table is None
         assert opened.params == Params()
         assert opened.table_sha256 is None
@@ -1305,7 +1311,7 @@ def test_metadata_of_another_form_are_refused(bag: Path, changes: dict[str, Any]
     _information(**changes)(bag)
     with contextlib.suppress(BagError), Bag(bag) as opened:
         assert opened.table_sha256 is None
-        look.info(opened)
+        inspection.info(opened)
 
 
 def test_counts_that_are_no_numbers_are_refused(bag: Path) -> None:
@@ -1314,7 +1320,7 @@ def test_counts_that_are_no_numbers_are_refused(bag: Path) -> None:
     content[INFORMATION]["topics_with_message_count"][0]["message_count"] = "many"
     (bag / METADATA).write_text(yaml.safe_dump(content))
     with pytest.raises(BagError, match="damaged"), Bag(bag) as opened:
-        look.info(opened)
+        inspection.info(opened)
 
 
 # -- more than one -------------------------------------------------------------------------------
@@ -1322,7 +1328,7 @@ def test_counts_that_are_no_numbers_are_refused(bag: Path) -> None:
 
 def test_of_two_robots_one_is_chosen(tmp_path: Path) -> None:
     """Not guessed: both are named, and each is read as if it were alone."""
-    writer = BagWriter(BagOptions(tmp_path / "bag"))
+    writer = McapWriter(BagOptions(tmp_path / "bag"))
     runs = {
         name: record(tmp_path / name, 40, namespace=name, seed=seed, writer=writer)
         for seed, name in enumerate(["robot_1", "robot_2"])
@@ -1337,14 +1343,14 @@ def test_of_two_robots_one_is_chosen(tmp_path: Path) -> None:
             assert opened.namespace == name
             assert opened.robots() == ["robot_1", "robot_2"]
             assert opened.messages(topics.PHASE) == 40
-            assert opened.card is not None
-            assert opened.card.plan(1, None) == run.plan
+            assert opened.run_metadata is not None
+            assert opened.run_metadata.config(1, None) == run.config
     assert runs["robot_1"].heard != runs["robot_2"].heard
 
 
 def test_the_robot_of_no_namespace_can_be_chosen(tmp_path: Path) -> None:
     """It is called by the root: /."""
-    writer = BagWriter(BagOptions(tmp_path / "bag"))
+    writer = McapWriter(BagOptions(tmp_path / "bag"))
     first = record(tmp_path / "first", 5, writer=writer)
     record(tmp_path / "second", 5, namespace="other", seed=1, writer=writer)
     writer.close()
@@ -1421,15 +1427,15 @@ def test_lines_are_those_that_were_written_beside_the_run(tmp_path: Path, world:
     """The same cycles.csv, but for the last tick: how that one ended is in no bag."""
     run = record(tmp_path / "bag", 5 * TICKS, world=world, falls_at=[20, 64, 65])
     with Bag(run.bag) as opened:
-        _, rows = look.info(opened)
-    modules = [*run.plan.legs, BODY]
+        _, rows = inspection.info(opened)
+    modules = [*run.config.legs, BODY]
     whole = 4 * len(modules)
     hold_rows_equal(rows[:whole], run.rows[:whole])
     last = run.heard[-1]
-    recorder = Recorder(PARAMS, run.plan.legs)
+    recorder = RunStatistics(PARAMS, run.config.legs)
     for tick in run.heard:
         recorder.tick(tick.beat, senses_of(tick), tick.commands, tick.body, tick.transitions)
-    ended = [each._replace(tick=each.tick + 1, restart=True) for each in senses_of(last)]
+    ended = [each._replace(tick=each.tick + 1, first_tick=True) for each in senses_of(last)]
     recorder.finish(ended, last.body)
     hold_rows_equal(rows, recorder.rows)
     assert [(row.cycle, row.module) for row in rows] == [(c, m) for c in range(5) for m in modules]
@@ -1438,7 +1444,7 @@ def test_lines_are_those_that_were_written_beside_the_run(tmp_path: Path, world:
 def test_info_counts_what_is_there(walked: Run) -> None:
     """Ticks, seconds, cycles, falls, distance, messages, files, provenance: all as it was."""
     with Bag(walked.bag) as opened:
-        found, rows = look.info(opened)
+        found, rows = inspection.info(opened)
     ticks, bodies = len(walked.heard), [tick.body for tick in walked.heard]
     assert found["bag"] == str(walked.bag)
     assert (found["namespace"], found["world"]) == ("/", "walker")
@@ -1501,7 +1507,7 @@ def test_who_looks_into_a_bag_runs_nothing_that_it_names(
     with Bag(with_parts(messages, tmp_path / "bag", **parts)) as opened, Bag(walked.bag) as ours:
         assert (opened.table is None) == (ours.table is None)
         assert list(opened.ticks()) == list(ours.ticks())
-        assert look.info(opened)[1] == look.info(ours)[1]
+        assert inspection.info(opened)[1] == inspection.info(ours)[1]
 
 
 @pytest.mark.parametrize("path", ["no_such_package.Mine", "builtins.exit"])
@@ -1558,7 +1564,7 @@ def test_info_counts_what_is_not_there(messages: list[Raw], tmp_path: Path) -> N
         or (raw.ns // TICK_NS not in gone and (raw.topic, raw.ns // TICK_NS) not in lost)
     ]
     with Bag(write(tmp_path / "bag", left)) as opened:
-        found, _ = look.info(opened)
+        found, _ = inspection.info(opened)
     assert found["ticks"] == 3 * TICKS + 16 - len(gone)
     assert found["lost_ticks"] == len(gone)
     assert found["gaps"] == [(10, 12), (70, 70)]
@@ -1581,7 +1587,7 @@ def test_a_cycle_whose_first_tick_is_lost_is_a_cycle(
         if raw.ns != 2 * TICKS * TICK_NS or (lost == "senses" and raw.topic != "/rear_left/contact")
     ]
     with Bag(write(tmp_path / "bag", left)) as opened:
-        _, rows = look.info(opened)
+        _, rows = inspection.info(opened)
     assert [row.cycle for row in rows if row.module == BODY] == [0, 1, 2, 3]
 
 
@@ -1593,7 +1599,7 @@ def test_a_bag_of_others_is_looked_into_as_well(
         tmp_path / "bag", [raw._replace(ns=NOON + raw.ns) for raw in messages], "sqlite3"
     )
     with Bag(others) as opened, Bag(walked.bag) as ours:
-        (found, rows), (_, expected) = look.info(opened), look.info(ours)
+        (found, rows), (_, expected) = inspection.info(opened), inspection.info(ours)
     assert rows == expected
     assert "card" not in found
     assert found["storage"] == "sqlite3"
@@ -1604,7 +1610,7 @@ def test_a_bag_without_a_tick_is_a_bag(tmp_path: Path) -> None:
     """A run of no cycles leaves one: nothing is in it, and that is said."""
     run = record(tmp_path / "bag", 0)
     with Bag(run.bag) as opened:
-        found, rows = look.info(opened)
+        found, rows = inspection.info(opened)
     assert (found["ticks"], found["first_tick"], found["falls"]) == (0, None, 0)
     assert (found["distance_m"], found["reward"]) == (0, None)
     assert rows == []
@@ -1629,7 +1635,7 @@ def lines_of(file: Path) -> list[dict[str, str]]:
 
 def hold_line(line: dict[str, str], run: Run, tick: Tick, after: Tick | None, leg: str) -> None:
     """Hold that a line says what was heard, to the bit."""
-    n = run.plan.legs.index(leg)
+    n = run.config.legs.index(leg)
     sense, command = tick.senses[n], tick.commands[n]
     at = (tick.tick + (0 if leg == TRAINER_LEG else OFFSETS[leg])) % TICKS
     stance = at < STANCE
@@ -1679,17 +1685,17 @@ def test_a_line_a_tick_and_leg(tmp_path: Path, world: str) -> None:
     """Every sense and command equal bit for bit when parsed, state, action and reward as learnt."""
     run = record(tmp_path / "bag", TICKS + 9, world=world, falls_at=[20])
     with Bag(run.bag) as opened:
-        files = look.write_csv(opened, tmp_path / "deep" / "csv")
+        files = inspection.write_csv(opened, tmp_path / "deep" / "csv")
     with Bag(run.bag) as opened:
-        _, rows = look.info(opened)
+        _, rows = inspection.info(opened)
     assert files == [tmp_path / "deep/csv" / name for name in ("cycles.csv", "ticks.csv")]
     lines = lines_of(files[1])
     terms = (f"reward_{name}" for name in PaperReward.names)
-    assert tuple(lines[0]) == (*look.TICK_COLUMNS, *terms)
-    assert len(lines) == len(run.heard) * len(run.plan.legs)
+    assert tuple(lines[0]) == (*inspection.TICK_COLUMNS, *terms)
+    assert len(lines) == len(run.heard) * len(run.config.legs)
     rest = iter(lines)
     for tick, after in zip(run.heard, [*run.heard[1:], None], strict=True):
-        for leg, line in zip(run.plan.legs, rest, strict=False):
+        for leg, line in zip(run.config.legs, rest, strict=False):
             assert line["leg"] == leg
             hold_line(line, run, tick, after, leg)
     assert len({line["td_error"] for line in lines}) > TICKS // 2  # not one number for all
@@ -1697,7 +1703,7 @@ def test_a_line_a_tick_and_leg(tmp_path: Path, world: str) -> None:
         cells = list(csv.reader(file))
     assert tuple(cells[0]) == Row._fields
     assert cells[1:] == [["" if value is None else str(value) for value in row] for row in rows]
-    assert len(rows) == 2 * (len(run.plan.legs) + 1)
+    assert len(rows) == 2 * (len(run.config.legs) + 1)
 
 
 def test_what_is_missing_is_empty_in_its_line(
@@ -1713,7 +1719,7 @@ def test_what_is_missing_is_empty_in_its_line(
         and (raw.ns != 22 * TICK_NS)
     ]
     with Bag(write(tmp_path / "bag", left)) as opened:
-        files = look.write_csv(opened, tmp_path / "csv")
+        files = inspection.write_csv(opened, tmp_path / "csv")
     heard = {tick.tick: tick for tick in walked.heard if tick.tick != 22}
     heard[5] = heard[5]._replace(senses=(*heard[5].senses[:2], None, heard[5].senses[3]))
     heard[8] = heard[8]._replace(commands=(None, *heard[8].commands[1:]))
@@ -1736,7 +1742,7 @@ def test_csv_files_are_never_written_over(walked: Run, tmp_path: Path, there: li
     for name in there:
         (tmp_path / name).write_text("mine")
     with Bag(walked.bag) as opened, pytest.raises(BagError, match="is there already") as refused:
-        look.write_csv(opened, tmp_path)
+        inspection.write_csv(opened, tmp_path)
     assert "--out" in str(refused.value)
     assert {file.name: file.read_text() for file in tmp_path.iterdir()} == dict.fromkeys(
         there, "mine"
@@ -1748,7 +1754,7 @@ def test_a_damaged_bag_leaves_no_half_csv(database: Database, tmp_path: Path) ->
     _, data = database.messages["/rear_left/command", 20]
     file = database.change({("/rear_left/command", 20): data[:-8] + b"\xff" * 8})
     with Bag(file) as opened, pytest.raises(BagError, match="/rear_left/command"):
-        look.write_csv(opened, tmp_path / "csv")
+        inspection.write_csv(opened, tmp_path / "csv")
     assert not list((tmp_path / "csv").glob("*"))
 
 
@@ -1756,6 +1762,6 @@ def test_a_folder_that_cannot_be_written_is_said(walked: Run, tmp_path: Path) ->
     """In words, with its name."""
     (tmp_path / "file").write_text("")
     with Bag(walked.bag) as opened, pytest.raises(BagError, match="file"):
-        look.write_csv(opened, tmp_path / "file" / "csv")
+        inspection.write_csv(opened, tmp_path / "file" / "csv")
     with Bag(walked.bag) as opened, pytest.raises(BagError, match="/proc"):
-        look.write_csv(opened, Path("/proc/ember"))
+        inspection.write_csv(opened, Path("/proc/ember"))

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ember_ros.bag.reading import Bag
+from ember_ros.bag.reader import Bag
 from ember_ros.bag.storage import INFORMATION, METADATA
 from ember_ros.errors import BagError
 from support.bags import KEPT

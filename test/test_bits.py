@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.shipped import BAG, DATA
 from support.command import child, environment
 from support.needs import needs_bullet
@@ -27,8 +27,8 @@ import json, tempfile
 from pathlib import Path
 from ember_ros.loop import Loop
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import Recorder
+from ember_ros.run_config import Plan
+from ember_ros.report.run_statistics import Recorder
 from leg_node.table_file import save_table
 
 def run(plan):
@@ -136,7 +136,7 @@ def test_a_replay_needs_no_sine_of_the_c_library() -> None:
     """
     code = (
         "from pathlib import Path\n"
-        "from ember_ros.bag.reading import Bag\n"
+        "from ember_ros.bag.reader import Bag\n"
         "from ember_ros.offline.replay import replay\n"
         f"with Bag(Path({str(DATA / BAG)!r})) as bag:\n"
         "    done = replay(bag)\n"
@@ -152,8 +152,8 @@ def test_a_replay_needs_no_sine_of_the_c_library() -> None:
 
 def trained(*, learning: bool = True) -> tuple[dict[str, str], list[float]]:
     """Return the hashes of a training of plain in Bullet, and the reward of each of its cycles."""
-    plan = Plan("trainer", 300, seed=3, params=load_params("plain"), learning=learning)
-    table, recorder = recorded(plan)
+    config = RunConfig("trainer", 300, seed=3, params=load_params("plain"), learning=learning)
+    table, recorder = recorded(config)
     found = recorder.summary()
     kinds = ("senses", "commands", "transitions")
     told = {kind: found[f"{kind}_sha256"] for kind in kinds} | {"table": table.sha256()}

@@ -59,7 +59,7 @@ def hostile(tmp_path: Path) -> Path:
 
 def test_a_process_imports_nothing_of_the_working_directory(hostile: Path) -> None:
     """Neither for Python's own modules nor for ours; arguments reach it."""
-    command = [*command_of("ember_ros.bag.scribe"), '["bag", 0.0, 0.0]']
+    command = [*command_of("ember_ros.bag.writer_process"), '["bag", 0.0, 0.0]']
     (hostile / "bag").mkdir()
     done = child(command, cwd=hostile, env={**os.environ})
     assert (done.returncode, done.stdout, done.stderr) == (0, "ready\n", "")

@@ -23,7 +23,7 @@ from ember_ros import terminal
 from ember_ros.cli.ember import COMMANDS
 from ember_ros.params import Params
 from ember_ros.params_file import dump_params, load_params
-from ember_ros.report.recorder import Row, load_record
+from ember_ros.report.run_statistics import Row, load_record
 from ember_ros.run import EARLIER, SUMMARY, TABLE
 from ember_ros.seat import run_seat
 from ember_ros.spinning import Stop

@@ -19,23 +19,23 @@ import yaml
 from click.testing import CliRunner
 
 from ember_ros import wire
-from ember_ros.bag import look
-from ember_ros.bag.reading import Bag, Raw
-from ember_ros.bag.storage import INFORMATION, METADATA, BagOptions, BagWriter, seal
+from ember_ros.bag import inspection
+from ember_ros.bag.reader import Bag, Raw
+from ember_ros.bag.storage import INFORMATION, METADATA, BagOptions, McapWriter, seal
 from ember_ros.cli import main
 from ember_ros.params import Params, as_dict, params_sha256, replace
 from ember_ros.params_file import dump_params, load_params
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import BODY, Row
+from ember_ros.report.run_statistics import BODY, Row
 from ember_ros.run import SUMMARY, TABLE
+from ember_ros.run_config import RunConfig
 from leg_node.assembly import empty_table
 from leg_node.reward import PaperReward
 from leg_node.table_file import load_table, save_table
 from support import bags
 from support.bags import Made, write
+from support.configs import TINY as PARAMS
 from support.legs import LEGS
 from support.needs import needs_bags, needs_bullet
-from support.plans import TINY as PARAMS
 
 pytestmark = needs_bags
 
@@ -95,8 +95,8 @@ def record(
     **how: Any,
 ) -> Made:
     """Record a run of the fake world, in which the robot falls twice."""
-    plan = Plan(world, cycles, seed=seed, params=PARAMS, table=table)
-    return bags.record(bag, plan, falls_at=[20, 50], about={"ember_ros": "1.2.3"}, **how)
+    config = RunConfig(world, cycles, seed=seed, params=PARAMS, table=table)
+    return bags.record(bag, config, falls_at=[20, 50], about={"ember_ros": "1.2.3"}, **how)
 
 
 def rewritten(made: Made, bag: Path, change: Change) -> Path:
@@ -170,7 +170,7 @@ def damaged(walked: Made) -> Path:
 def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Made]:
     """Record two robots into one bag."""
     bag = tmp_path_factory.mktemp("two") / "two"
-    writer = BagWriter(BagOptions(bag))
+    writer = McapWriter(BagOptions(bag))
     made = {
         name: record(bag, cycles=2, namespace=name, seed=seed, writer=writer)
         for seed, name in enumerate(["robot_1", "robot_2"])
@@ -317,7 +317,7 @@ def test_info_tells_what_is_inside(run: Go, walked: Made) -> None:
     assert lines["table SHA-256, start"] == empty_table(PARAMS).sha256()[:12]
     assert lines["table SHA-256, end"] == walked.table[:12]
     with Bag(walked.bag) as opened:
-        found, _ = look.info(opened)
+        found, _ = inspection.info(opened)
     assert lines["distance"] == f"{found['distance_m']:.3f} m"
     messages = sum(found["messages"].values())
     assert lines["messages"] == f"{messages} on {len(found['messages'])} topics"
@@ -330,7 +330,7 @@ def test_info_tells_of_every_cycle_when_asked(run: Go, walked: Made) -> None:
     text = run("bag", "info", walked.bag, "--cycles")
     lines = [line.split() for line in text.splitlines()[-CYCLES * 5 :]]
     with Bag(walked.bag) as opened:
-        _, rows = look.info(opened)
+        _, rows = inspection.info(opened)
     assert len(rows) == len(lines)
     for row, line in zip(rows, lines, strict=True):
         assert line[:3] == [str(row.cycle), row.module, f"{row.reward:.3f}"]
@@ -347,7 +347,7 @@ def test_info_for_programs(run: Go, walked: Made) -> None:
     found = json.loads(run("bag", "info", walked.bag, "--json"))
     rows = [Row(**row) for row in found.pop("rows")]
     with Bag(walked.bag) as opened:
-        expected, expected_rows = look.info(opened)
+        expected, expected_rows = inspection.info(opened)
     assert found == json.loads(json.dumps(expected))
     assert [repr(row) for row in rows] == [repr(row) for row in expected_rows]
 
@@ -391,7 +391,7 @@ def test_info_of_one_of_two_robots(run: Go, two: dict[str, Made]) -> None:
     for name, made in two.items():
         found = json.loads(run("bag", "info", made.bag, "--json", "--namespace", name))
         assert (found["namespace"], found["ticks"]) == (f"/{name}", 64)
-        assert found["card"]["legs"]["rear_left"]["seed"] == made.plan.seed
+        assert found["card"]["legs"]["rear_left"]["seed"] == made.config.seed
 
 
 @pytest.mark.parametrize("name", ["run[bold]x", "run[/x]", "run[link=a]"])
@@ -411,7 +411,10 @@ def test_csv_writes_two_files(run: Go, walked: Made) -> None:
     assert text == "In out/csv: cycles.csv, ticks.csv"
     with Path("out/csv/ticks.csv").open(newline="") as file:
         lines = list(csv.reader(file))
-    assert tuple(lines[0]) == (*look.TICK_COLUMNS, *(f"reward_{n}" for n in PaperReward.names))
+    assert tuple(lines[0]) == (
+        *inspection.TICK_COLUMNS,
+        *(f"reward_{n}" for n in PaperReward.names),
+    )
     assert len(lines) == 1 + CYCLES * TICKS * 4
     with Path("out/csv/cycles.csv").open(newline="") as file:
         lines = list(csv.reader(file))

@@ -14,7 +14,7 @@ from ember_ros.errors import ParameterError
 from ember_ros.loop import Loop
 from ember_ros.params import TRAINER_LEG, Params
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense
 from ember_ros.worlds import legs_of, make_world, spec_of, stage_of
 from sim_node.contract import check_world
@@ -74,7 +74,7 @@ class PutDownFirst(Changed):
 
     def change(self, sense: LegSense) -> LegSense:
         """Return a mark at the first tick."""
-        return sense._replace(restart=sense.restart or sense.tick == 0)
+        return sense._replace(first_tick=sense.first_tick or sense.tick == 0)
 
 
 class Over(World):
@@ -106,7 +106,7 @@ class Unmarked(Changed):
 
     def change(self, sense: LegSense) -> LegSense:
         """Return no mark."""
-        return sense._replace(restart=False)
+        return sense._replace(first_tick=False)
 
 
 class Forgives(World):
@@ -174,7 +174,7 @@ class ResetHalf(World):
         if not hasattr(self, "_senses"):
             super().reset()
         self._tick = self._falls = 0
-        self._senses = tuple(sense._replace(tick=0, restart=False) for sense in self._senses)
+        self._senses = tuple(sense._replace(tick=0, first_tick=False) for sense in self._senses)
 
 
 MADE = itertools.count()
@@ -300,9 +300,9 @@ def test_a_world_of_one_s_own_says_what_it_is() -> None:
 
 def test_a_robot_runs_in_a_world_of_one_s_own() -> None:
     """Planned by its dotted path, with its legs and its stage."""
-    plan = Plan(OWN("OneLegged"), 2)
-    assert (plan.legs, plan.stage) == (("front_left",), "train")
-    loop = Loop(plan)
+    config = RunConfig(OWN("OneLegged"), 2)
+    assert (config.legs, config.stage) == (("front_left",), "train")
+    loop = Loop(config)
     for _ in range(64):
         loop.tick()
     assert loop.finish().visits.sum() == 63
@@ -321,4 +321,4 @@ def test_a_world_that_is_not_is_told(world: str, says: str) -> None:
     with pytest.raises(ParameterError, match=says):
         spec_of(world)
     with pytest.raises(ParameterError, match=says):
-        Plan(world, 1)
+        RunConfig(world, 1)

@@ -13,7 +13,7 @@ from ember_ros.errors import ParameterError
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
 from ember_ros.phase import PhaseRate
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, LegSense
 from sim_node.fake import FakeWorld
 from support.runs import Heard
@@ -149,7 +149,7 @@ def test_only_who_asks_hears_the_legs(kind: type[Listed], heard: list[int]) -> N
 def test_an_oscillator_that_hears_the_legs_walks_a_robot() -> None:
     """Named by its path: the beats that legs, world and observers hear are its own."""
     params = replace(PARAMS, {"parts.cpg": f"{__name__}.SlowsUnderLoad"})
-    loop, heard = Loop(Plan("walker", 4, params=params, policy="random"), FakeWorld()), Heard()
+    loop, heard = Loop(RunConfig("walker", 4, params=params, policy="random"), FakeWorld()), Heard()
     for _ in range(4 * 32):
         loop.tick(heard)
     held = [

@@ -35,7 +35,7 @@ senses = st.builds(
     slip=finite,
     hair=st.booleans(),
     contact=st.booleans(),
-    restart=st.booleans(),
+    first_tick=st.booleans(),
 )
 
 

@@ -16,7 +16,7 @@ from ember_ros.errors import ParameterError
 from ember_ros.loop import Loop
 from ember_ros.params import TRAINER_LEG, Params, replace
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from sim_node.fake import FakeWorld
 
@@ -108,10 +108,10 @@ class Chosen:
 chosen: dict[int, list[int]] = {}
 
 
-def loop_of(plan: Plan, ticks: int) -> Heard:
+def loop_of(config: RunConfig, ticks: int) -> Heard:
     """Run a loop whose legs act at random; what they chose is in ``chosen``."""
     chosen.clear()
-    heard, loop = Heard(), Loop(plan)
+    heard, loop = Heard(), Loop(config)
     for _ in range(ticks):
         loop.tick(heard)
     loop.close()
@@ -144,26 +144,26 @@ def test_the_walker_gives_the_bits_of_the_loop(world: str, params: Params, falls
 
     No sensor saturates; four legs with random knees fall, and go on.
     """
-    plan = Plan(world, 10, seed=5, params=params, policy="fakes.Chosen", learning=False)
-    ticks = plan.cycles * params.gait.ticks
-    heard = loop_of(plan, ticks)
+    config = RunConfig(world, 10, seed=5, params=params, policy="fakes.Chosen", learning=False)
+    ticks = config.cycles * params.gait.ticks
+    heard = loop_of(config, ticks)
     by_senses = WalkerEnv(params, world=world, max_cycles=1000)
     by_state = WalkerEnv(params, world=world, observation="state", max_cycles=1000)
     seen, infos = by_senses.reset(seed=5)
     states, _ = by_state.reset(seed=5)
     fell = 0
-    rewards = dict.fromkeys(plan.legs, 0.0)
+    rewards = dict.fromkeys(config.legs, 0.0)
     for tick in range(ticks):
-        for n, leg in enumerate(plan.legs):
+        for n, leg in enumerate(config.legs):
             did, sense = heard.transitions[tick][n], heard.senses[tick][n]
             assert seen[leg][:-1].tolist() == expected(sense, did.next_stance)
             place = (tick / 32 + params.robot.offset[n]) % 1.0 * 32
             assert seen[leg][-1] == (32 - place if place >= 24 else 0.0)
             assert states[leg] == did.next_state
             assert rewards[leg] == did.reward
-            assert infos[leg] == {"terms": dict(did.terms), "restart": sense.restart}
-            fell += sense.restart
-        actions = dict(zip(plan.legs, chosen[tick], strict=True))
+            assert infos[leg] == {"terms": dict(did.terms), "first_tick": sense.first_tick}
+            fell += sense.first_tick
+        actions = dict(zip(config.legs, chosen[tick], strict=True))
         seen, rewards, _, _, infos = by_senses.step(actions)
         states = by_state.step(actions)[0]
     assert len({did.reward for told in heard.transitions for did in told}) > 10
@@ -176,8 +176,8 @@ def test_the_walker_gives_the_bits_of_the_loop(world: str, params: Params, falls
 def test_the_trainer_gives_the_bits_of_the_loop() -> None:
     """With a modulated stop, whose heights the seed decides; drawn at every tick, too."""
     params = modulated()
-    plan = Plan("trainer", 8, seed=6, params=params, policy="fakes.Chosen", learning=False)
-    heard = loop_of(plan, plan.cycles * params.gait.ticks)
+    config = RunConfig("trainer", 8, seed=6, params=params, policy="fakes.Chosen", learning=False)
+    heard = loop_of(config, config.cycles * params.gait.ticks)
     env = TrainerEnv(params, max_cycles=8, render_mode="rgb_array")
     seen, info = env.reset(seed=6)
     reward, paid = 0.0, 0
@@ -280,8 +280,8 @@ def test_a_fall_is_told_and_ends_an_episode_only_by_argument(ends: bool) -> None
         fell, last = tick in (40, 70), tick == 96
         assert terminated == dict.fromkeys(legs, ends and fell)
         assert truncated == dict.fromkeys(legs, last)
-        assert [infos[leg]["restart"] for leg in legs] == [fell] * 4
-        assert (one[2], one[3], one[4]["restart"]) == (ends and fell, last, fell)
+        assert [infos[leg]["first_tick"] for leg in legs] == [fell] * 4
+        assert (one[2], one[3], one[4]["first_tick"]) == (ends and fell, last, fell)
         if fell:
             assert set(rewards.values()) == {0.0}
         if (ends and fell) or last:

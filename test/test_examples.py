@@ -19,7 +19,7 @@ import pytest
 from ember_ros.loop import Loop
 from ember_ros.params import Params
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from sim_node.contract import check_world
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -100,7 +100,7 @@ def test_a_reward_of_ones_own_is_paid_and_told(tmp_path: Path) -> None:
 def test_a_new_body_walks() -> None:
     """Eight legs by a parameter file, with the knee written by hand: ahead, without a fall."""
     params = load_params(EXAMPLES / "new_body.yaml")
-    loop = Loop(Plan("walker", 12, params=params, policy="scripted", learning=False))
+    loop = Loop(RunConfig("walker", 12, params=params, policy="scripted", learning=False))
     assert len(loop.legs) == 8
     for _ in range(12 * params.gait.ticks):
         loop.tick()
@@ -171,7 +171,7 @@ def test_legs_are_many_environments_to_sb3(examples: None) -> None:
     for _ in range(10 * 32):
         seen, rewards, ends, infos = legs.step(rng.integers(9, size=4))
         fell += bool(ends.all())
-        assert ends.tolist() == [info["restart"] for info in infos]
+        assert ends.tolist() == [info["first_tick"] for info in infos]
         assert len({tuple(leg) for leg in seen}) == 4 or ends.all()
         assert rewards.tolist() == [sum(info["terms"].values()) for info in infos]
     assert legs.env.body.falls == fell > 0
@@ -200,7 +200,7 @@ def test_hardware_keeps_to_what_a_world_promises(examples: None) -> None:
     """The contract of all worlds; a leg that learns there is paid like another."""
     example: Any = importlib.import_module("leg_driver")
     check_world(lambda: example.HardwareLeg(Params()))
-    loop = Loop(Plan("leg_driver.HardwareLeg", 8))
+    loop = Loop(RunConfig("leg_driver.HardwareLeg", 8))
     for _ in range(8 * 32):
         loop.tick()
     assert int(loop.finish().visits.sum()) == 8 * 32 - 1

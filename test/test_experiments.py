@@ -50,7 +50,7 @@ from ember_ros.experiments.trial import (
 from ember_ros.experiments.words import column
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import LegCommand, LegSense
 from ember_ros.worlds import make_world
 from leg_node.discretizer import PaperDiscretizer
@@ -74,9 +74,9 @@ def test_a_trial_is_what_the_loop_does(tmp_path: Path) -> None:
     assert walk.start is not None
     for trial in (walk.start, walk):
         assert run_trial(trial, tmp_path)
-    plans = [
-        Plan("trainer", 3, seed=4, params=numbers("ember")),
-        Plan(
+    configs = [
+        RunConfig("trainer", 3, seed=4, params=numbers("ember")),
+        RunConfig(
             "walker",
             3,
             seed=4 + OTHER_SEED,
@@ -84,14 +84,14 @@ def test_a_trial_is_what_the_loop_does(tmp_path: Path) -> None:
             table=tmp_path / walk.start.key / TABLE,
         ),
     ]
-    for plan, trial in zip(plans, (walk.start, walk), strict=True):
-        loop = Loop(plan)
+    for config, trial in zip(configs, (walk.start, walk), strict=True):
+        loop = Loop(config)
         for _ in range(3 * 32):
             loop.tick()
         sha = loop.finish().sha256()
         loop.close()
         assert outcome(trial, tmp_path).measures["table_sha256"] == sha
-        kept, _ = load_table(tmp_path / trial.key / TABLE, plan.params)
+        kept, _ = load_table(tmp_path / trial.key / TABLE, config.params)
         assert kept.sha256() == sha
 
 
@@ -326,7 +326,7 @@ def test_private_legs_part_ways(tmp_path: Path) -> None:
     found = []
     ways: list[dict[str, Any]] = [{}, {"walk__sync_every": NEVER}]
     for changes in ways:
-        loop = Loop(Plan("walker", 30, params=numbers("plain", **changes)))
+        loop = Loop(RunConfig("walker", 30, params=numbers("plain", **changes)))
         for _ in range(30 * 32):
             loop.tick()
         found.append({leg.copy.table.visits.sum() for leg in loop.legs})
@@ -339,8 +339,8 @@ def test_private_legs_part_ways(tmp_path: Path) -> None:
 
 def test_the_central_learner_learns_by_the_same_rule(tmp_path: Path) -> None:
     """One update a tick into the joint table; legs do what it says and learn nothing themselves."""
-    plan = Plan("walker", 2, seed=1, params=numbers("plain"))
-    loop = CentralLoop(plan)
+    config = RunConfig("walker", 2, seed=1, params=numbers("plain"))
+    loop = CentralLoop(config)
     assert (loop.joint.states, loop.joint.actions) == (32 * 16, 9**4)
     heard: list[tuple[LegCommand | None, ...]] = []
 
@@ -352,7 +352,7 @@ def test_the_central_learner_learns_by_the_same_rule(tmp_path: Path) -> None:
         loop.tick(Hear())
     falls = loop.world.body().falls
     assert loop.joint.visits.sum() == 63 - falls
-    speeds = plan.params.leg.knee_speeds
+    speeds = config.params.leg.knee_speeds
     for tick, commands in enumerate(heard[:20]):  # before any fall: every joint action was learnt
         joint = sum(
             speeds.index(command.knee_speed) * len(speeds) ** n

@@ -23,9 +23,9 @@ from ember_ros.errors import MissingError, ParameterError, RunError, TableError
 from ember_ros.loop import Loop
 from ember_ros.params import Learning, params_sha256, replace
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import Recorder
+from ember_ros.report.run_statistics import RunStatistics
 from ember_ros.run import run
+from ember_ros.run_config import RunConfig
 from ember_ros.shipped import DATA
 from leg_node.discretizer import PaperDiscretizer
 from leg_node.learner import QLearning
@@ -126,10 +126,10 @@ class Listener:
         self.heard.append(Tick(*said))
 
 
-def by_hand(plan: Plan) -> tuple[list[Tick], Recorder, Table]:
+def by_hand(config: RunConfig) -> tuple[list[Tick], RunStatistics, Table]:
     """Run a plan by the loop; return what it said, its record and its table."""
-    loop, recorder, listener = Loop(plan), Recorder(plan.params, plan.legs), Listener()
-    for _ in range(plan.cycles * plan.params.gait.ticks):
+    loop, recorder, listener = Loop(config), RunStatistics(config.params, config.legs), Listener()
+    for _ in range(config.cycles * config.params.gait.ticks):
         loop.tick(recorder, listener)
     table = loop.finish()
     recorder.finish(loop.world.observe(), loop.world.body())
@@ -148,13 +148,15 @@ def hashes(summary: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def long() -> tuple[er.Run, list[Tick], Recorder, Table]:
+def long() -> tuple[er.Run, list[Tick], RunStatistics, Table]:
     """A walk over a fall, and the same by hand."""
     done = walked(seed=3, policy="random", learning=True)
-    return done, *by_hand(done.plan)
+    return done, *by_hand(done.config)
 
 
-def test_a_run_is_the_loops_to_the_bit(long: tuple[er.Run, list[Tick], Recorder, Table]) -> None:
+def test_a_run_is_the_loops_to_the_bit(
+    long: tuple[er.Run, list[Tick], RunStatistics, Table],
+) -> None:
     """Hashes of all signals, lines a cycle and table are those of the loop run by hand."""
     done, _, recorder, table = long
     assert hashes(done.summary) == hashes(recorder.summary())
@@ -164,7 +166,7 @@ def test_a_run_is_the_loops_to_the_bit(long: tuple[er.Run, list[Tick], Recorder,
 
 
 def test_arrays_say_what_the_loop_said(
-    long: tuple[er.Run, list[Tick], Recorder, Table],
+    long: tuple[er.Run, list[Tick], RunStatistics, Table],
 ) -> None:
     """Every number of every tick, by the tick that it is about."""
     done, heard, recorder, _ = long
@@ -199,13 +201,13 @@ def test_arrays_say_what_the_loop_said(
                 assert done.stances[tick, leg] == did.stance
     uncredited = np.flatnonzero(~done.credited.any(axis=1)).tolist()
     assert uncredited == [FALL - 1, len(heard) - 1]
-    assert np.flatnonzero(done.senses.restart.any(axis=1)).tolist() == [FALL]
+    assert np.flatnonzero(done.senses.first_tick.any(axis=1)).tolist() == [FALL]
     assert not done.reward[~done.credited].any()
 
 
 def columns(run: er.Run) -> dict[str, tuple[np.ndarray[Any, Any], tuple[int, ...]]]:
     """Return every array of a run by its name, with the shape that it should have."""
-    ticks = run.plan.cycles * run.params.gait.ticks
+    ticks = run.config.cycles * run.params.gait.ticks
     both = (ticks, len(run.legs))
     found: dict[str, tuple[np.ndarray[Any, Any], tuple[int, ...]]] = {}
     for group, shape in (("senses", both), ("commands", both), ("body", (ticks,))):
@@ -238,7 +240,7 @@ def test_a_run_is_frozen_and_tells_itself_in_three_lines() -> None:
     """World, cycles and hashes, and no array."""
     done = walked(2, seed=5)
     with pytest.raises(dataclasses.FrozenInstanceError):
-        done.plan = None  # type: ignore[misc,assignment]
+        done.config = None  # type: ignore[misc,assignment]
     lines = repr(done).splitlines()
     assert len(lines) == 3
     assert lines[0].startswith("Run in ")
@@ -252,12 +254,12 @@ def test_a_run_is_frozen_and_tells_itself_in_three_lines() -> None:
 def test_train_and_walk_are_the_loop_in_both_worlds(tmp_path: Path) -> None:
     """From nothing, and from what was learnt: the run, its table, its file: the same bits."""
     trained = er.train(3, seed=2, progress=False)
-    _, recorder, table = by_hand(Plan("trainer", 3, seed=2))
+    _, recorder, table = by_hand(RunConfig("trainer", 3, seed=2))
     assert hashes(trained.summary) == hashes(recorder.summary())
     assert trained.table.sha256 == table.sha256()
     file = tmp_path / "table.npz"
     save_table(file, table, trained.params, 2)
-    _, recorder, table = by_hand(Plan("walker", 2, seed=4, table=file))
+    _, recorder, table = by_hand(RunConfig("walker", 2, seed=4, table=file))
     for start in (trained, trained.table, file, str(file)):
         done = er.walk(start, 2, 4, progress=False)
         assert hashes(done.summary) == hashes(recorder.summary())
@@ -341,11 +343,11 @@ def test_a_class_that_cannot_be_found_again_is_refused() -> None:
 def test_every_part_can_be_a_class() -> None:
     """World, policy and learner of one's own; the world says which learning numbers hold."""
     done = walked(2, world=Bench, policy=Still, learner=Double, discretizer=Coarse)
-    assert (done.plan.stage, done.plan.learning) == ("train", True)
+    assert (done.config.stage, done.config.learning) == ("train", True)
     assert (done.actions == len(done.params.leg.knee_speeds) - 1).all()
     assert done.states.max() < 6
-    assert not walked(1, policy="scripted").plan.learning
-    assert walked(1, policy="scripted", learning=True).plan.learning
+    assert not walked(1, policy="scripted").config.learning
+    assert walked(1, policy="scripted", learning=True).config.learning
 
 
 def test_a_table_brings_its_parameters(tmp_path: Path) -> None:
@@ -443,7 +445,7 @@ def test_a_saved_run_is_what_ember_leaves(tmp_path: Path) -> None:
     """The same files with the same bytes, but for the clock and what was typed."""
     done = walked(3, seed=1)
     done.save(tmp_path / "face")
-    run(done.plan, "loop", tmp_path / "ember", lambda cycles, falls: True, "ember walk")
+    run(done.config, "loop", tmp_path / "ember", lambda cycles, falls: True, "ember walk")
     names = sorted(file.name for file in (tmp_path / "face").iterdir())
     assert names == sorted(file.name for file in (tmp_path / "ember").iterdir())
     assert {"table.npz", "cycles.csv", "summary.json", "traces.npy"} <= set(names)
@@ -468,9 +470,9 @@ def test_saving_replaces_nothing_unasked(tmp_path: Path) -> None:
     first.save(tmp_path)
     with pytest.raises(ParameterError, match=r"holds an earlier run"):
         second.save(tmp_path)
-    assert er.load(tmp_path).plan.seed == 1
+    assert er.load(tmp_path).config.seed == 1
     second.save(str(tmp_path), replace=True)
-    assert er.load(tmp_path).plan.seed == 2
+    assert er.load(tmp_path).config.seed == 2
     assert not list(tmp_path.glob(".*"))
     (tmp_path / "file").write_text("")
     with pytest.raises(ParameterError, match=r"cannot make the folder"):
@@ -490,7 +492,7 @@ def test_an_earlier_run_comes_back_where_a_new_one_cannot_be_written(
     monkeypatch.setattr("ember_ros.run.save_record", full)
     with pytest.raises(ParameterError, match=r"cannot write into .*No space left"):
         second.save(tmp_path, replace=True)
-    assert er.load(tmp_path).plan.seed == 1
+    assert er.load(tmp_path).config.seed == 1
 
 
 def test_a_saved_run_is_read_again(tmp_path: Path) -> None:
@@ -501,7 +503,7 @@ def test_a_saved_run_is_read_again(tmp_path: Path) -> None:
     done.save(tmp_path / "second")
     for made, folder in ((first, "first"), (done, "second")):
         again = er.load(tmp_path / folder)
-        assert again.plan == made.plan
+        assert again.config == made.config
         assert again.table.sha256 == made.table.sha256
         assert again.summary == made.summary
         assert again.record.rows == made.record.rows

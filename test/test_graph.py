@@ -21,14 +21,14 @@ from ember_ros.errors import EmberError
 from ember_ros.graph import Graph
 from ember_ros.params import Params, cells_sha256
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan
-from ember_ros.signals import Beat, LegCommand, LegSense, Pair
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import Beat, LegCommand, LegSense, TDUpdate
 from leg_node import calls
 from leg_node.assembly import empty_table
-from leg_node.shared import LocalCopy, Push, SharedTable
+from leg_node.shared import LocalCopy, SharedTable, UpdateBatch
 from leg_node.table_file import save_table
+from support.configs import changed
 from support.legs import LEGS
-from support.plans import changed
 from support.robot import LEG_NODES, PATIENCE_S, Robot, level, spun
 from support.ros import Ros
 from support.runs import Bits
@@ -39,9 +39,9 @@ TICKS = 32
 TICK_NS = Params().gait.tick_ns
 
 
-def walk(seed: int = 3, sync_every: int = 32, **options: Any) -> Plan:
+def walk(seed: int = 3, sync_every: int = 32, **options: Any) -> RunConfig:
     """Return a plan of a walker that learns."""
-    return Plan(
+    return RunConfig(
         "walker",
         CYCLES,
         seed=seed,
@@ -57,8 +57,8 @@ PLANS = {
     "walker, frozen": walk(learning=False),
     "walker, scripted": walk(policy="scripted"),
     "walker, random": walk(policy="random"),
-    "trainer": Plan("trainer", 2 * CYCLES, seed=5),
-    "trainer, 16 ticks": Plan("trainer", 8, seed=6, params=changed(Params(), gait__ticks=16)),
+    "trainer": RunConfig("trainer", 2 * CYCLES, seed=5),
+    "trainer, 16 ticks": RunConfig("trainer", 8, seed=6, params=changed(Params(), gait__ticks=16)),
 }
 
 
@@ -88,16 +88,16 @@ SLOW = {
 )
 def test_a_robot_of_other_parts_ends_with_the_bits_of_the_loop(
     ros: Ros,
-    by_loop: Callable[[Plan], Bits],
+    by_loop: Callable[[RunConfig], Bits],
     by_graph: Callable[[Any], Bits],
     changes: dict[str, Any],
 ) -> None:
     """Which legs there are and what the phase hangs on is data: loop and graph still agree."""
-    plan = Plan("walker", 4, seed=3, params=changed(Params(), **changes))
-    with closing(Graph(plan, patience=PATIENCE_S, context=ros.context)) as graph:
+    config = RunConfig("walker", 4, seed=3, params=changed(Params(), **changes))
+    with closing(Graph(config, patience=PATIENCE_S, context=ros.context)) as graph:
         spun(graph)
-        assert by_graph(graph) == by_loop(plan) != by_loop(dataclasses.replace(plan, seed=4))
-        assert by_loop(plan) != by_loop(Plan("walker", 4, seed=3))
+        assert by_graph(graph) == by_loop(config) != by_loop(dataclasses.replace(config, seed=4))
+        assert by_loop(config) != by_loop(RunConfig("walker", 4, seed=3))
         assert not any(refusals(graph.nodes).values())
 
 
@@ -105,55 +105,55 @@ SLOW = {"walker, one table for all", "walker, the end within an epoch", "walker,
 
 
 @pytest.mark.parametrize(
-    "plan",
+    "config",
     [pytest.param(PLANS[n], id=n, marks=[pytest.mark.slow] * (n in SLOW)) for n in PLANS],
 )
 def test_the_graph_ends_with_the_bits_of_the_loop(
     ros: Ros,
-    by_loop: Callable[[Plan], Bits],
+    by_loop: Callable[[RunConfig], Bits],
     by_graph: Callable[[Any], Bits],
-    plan: Plan,
+    config: RunConfig,
 ) -> None:
     """Table, senses and commands are equal, bit for bit, and nothing healthy is refused."""
-    with closing(Graph(plan, patience=PATIENCE_S, context=ros.context)) as graph:
+    with closing(Graph(config, patience=PATIENCE_S, context=ros.context)) as graph:
         spun(graph)
-        assert by_graph(graph) == by_loop(plan)
+        assert by_graph(graph) == by_loop(config)
         assert not any(refusals(graph.nodes).values())
-        assert len(graph.sim.recorder.body_rows()) == plan.cycles
+        assert len(graph.sim.recorder.body_rows()) == config.cycles
 
 
 @pytest.mark.slow
 def test_a_graph_runs_twice_the_same_way_and_from_a_table(
     ros: Ros,
     tmp_path: Path,
-    by_loop: Callable[[Plan], Bits],
+    by_loop: Callable[[RunConfig], Bits],
     by_graph: Callable[[Any], Bits],
 ) -> None:
     """Two graphs, one after the other, end alike, also when they begin with what was learnt."""
     file = tmp_path / "table.npz"
     with closing(Graph(PLANS["walker"], patience=PATIENCE_S, context=ros.context)) as first:
         save_table(file, spun(first).nodes["table_node"].shared.table, Params(), 3)
-    plan = walk(table=file)
+    config = walk(table=file)
     ends = []
     for _ in range(2):
-        with closing(Graph(plan, patience=PATIENCE_S, context=ros.context)) as graph:
+        with closing(Graph(config, patience=PATIENCE_S, context=ros.context)) as graph:
             ends.append(by_graph(spun(graph)))
-    assert ends[0] == ends[1] == by_loop(plan)
+    assert ends[0] == ends[1] == by_loop(config)
     assert ends[0] != by_loop(PLANS["walker"])
 
 
 @pytest.mark.slow
 def test_two_robots_in_two_namespaces_do_not_feel_each_other(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """In one domain, at once, tick by tick in turn, each ends with the bits of its own loop."""
-    plans = {"robot_1": walk(seed=8), "deep/robot_2": walk(seed=9, sync_every=4)}
+    configs = {"robot_1": walk(seed=8), "deep/robot_2": walk(seed=9, sync_every=4)}
     with ExitStack() as stack:
         graphs = {
             name: stack.enter_context(
-                closing(Graph(plan, patience=PATIENCE_S, context=ros.context, namespace=name))
+                closing(Graph(config, patience=PATIENCE_S, context=ros.context, namespace=name))
             )
-            for name, plan in plans.items()
+            for name, config in configs.items()
         }
         go_on = in_time()
         while not all(graph.sim.done for graph in graphs.values()):
@@ -162,13 +162,13 @@ def test_two_robots_in_two_namespaces_do_not_feel_each_other(
                 graph.spin_once(0.0)
         for name, graph in graphs.items():
             graph.finish()
-            assert by_graph(graph) == by_loop(plans[name])
+            assert by_graph(graph) == by_loop(configs[name])
             assert not any(refusals(graph.nodes).values())
 
 
 @pytest.mark.slow
 def test_who_looks_on_changes_nothing(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """With every topic heard, odometry included, the bits are the same, and all topics speak."""
     with closing(Graph(walk(), patience=PATIENCE_S, context=ros.context)) as graph:
@@ -229,23 +229,23 @@ def test_a_graph_that_is_stopped_early_keeps_what_was_learnt(ros: Ros) -> None:
 
 @pytest.mark.slow
 def test_a_fall_is_counted_told_and_credited_to_nobody(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """Each fall is said on ``falls`` and sets all restart bits for a tick; then no leg learns."""
-    plan = Plan(
+    config = RunConfig(
         "walker",
         CYCLES,
         seed=1,
         policy="random",
         params=changed(Params(), walker__hip_half_width=0.1),
     )
-    assert by_loop(plan).falls >= 3
-    with closing(Graph(plan, patience=PATIENCE_S, context=ros.context)) as graph:
+    assert by_loop(config).falls >= 3
+    with closing(Graph(config, patience=PATIENCE_S, context=ros.context)) as graph:
         falls = ros.messages(topics.FALLS)
         contacts = {leg: ros.messages(topics.contact(leg)) for leg in LEGS}
         spun(graph)
-        assert by_graph(graph) == by_loop(plan)
-        happened = by_loop(plan).falls
+        assert by_graph(graph) == by_loop(config)
+        happened = by_loop(config).falls
         ros.spin_until(
             lambda: all(len(heard) == CYCLES * TICKS for heard in contacts.values()), "all is heard"
         )
@@ -375,7 +375,7 @@ def disturbed(
 
 @pytest.mark.parametrize("what", SAYS)
 def test_what_a_stranger_says_is_refused_and_counted_and_changes_no_bit(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits], what: str
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits], what: str
 ) -> None:
     """Malformed, of the past or of the future: each message is counted by who hears it."""
     hearers, topic, make = SAYS[what]
@@ -397,7 +397,7 @@ def test_what_a_stranger_says_is_refused_and_counted_and_changes_no_bit(
 @pytest.mark.parametrize("ahead", [1, 5])
 def test_what_a_leg_hears_of_the_future_is_never_used(
     ros: Ros,
-    by_loop: Callable[[Plan], Bits],
+    by_loop: Callable[[RunConfig], Bits],
     by_graph: Callable[[Any], Bits],
     source: str,
     ahead: int,
@@ -420,7 +420,7 @@ def test_what_a_leg_hears_of_the_future_is_never_used(
 
 
 def test_old_messages_that_agree_by_chance_do_not_begin_time_anew(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """Joints, contact and phase of tick 3, told ticks apart while time goes on, are just old."""
 
@@ -440,11 +440,11 @@ def test_old_messages_that_agree_by_chance_do_not_begin_time_anew(
 
 
 def test_a_malformed_push_during_a_run_changes_no_bit(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """A stranger's push of nonsense is refused with a reason; the run ends as without it."""
-    good = Push(0, "stranger", 3, cells_sha256(Params()), (Pair(3, 7, 1.0),))
-    bad = (good._replace(cells_sha256="?"), good._replace(pairs=(Pair(3, -7, 1.0),)))
+    good = UpdateBatch(0, "stranger", 3, cells_sha256(Params()), (TDUpdate(3, 7, 1.0),))
+    bad = (good._replace(cells_sha256="?"), good._replace(updates=(TDUpdate(3, -7, 1.0),)))
     with closing(Graph(BRIEF, patience=PATIENCE_S, context=ros.context)) as graph:
         push = ros.client(topics.PUSH)
         for n in range(4):
@@ -489,7 +489,7 @@ def test_a_leg_that_dies_is_absent_and_one_that_comes_back_is_present(ros: Ros) 
 
 
 def test_a_cpg_that_dies_stops_the_world_and_a_new_one_takes_it_on(
-    ros: Ros, by_loop: Callable[[Plan], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits]
 ) -> None:
     """The world stands still and says so; the new CPG reads the phase off the clock, to the bit."""
     robot = Robot(ros, walk(), sim_node={"patience": 0.2})
@@ -510,7 +510,7 @@ def test_a_cpg_that_dies_stops_the_world_and_a_new_one_takes_it_on(
 
 
 def test_a_table_node_can_be_changed_for_another_that_has_its_file(
-    ros: Ros, tmp_path: Path, by_loop: Callable[[Plan], Bits]
+    ros: Ros, tmp_path: Path, by_loop: Callable[[RunConfig], Bits]
 ) -> None:
     """Stopped and started again between two epochs, with what it saved, it is the same table."""
     file = str(tmp_path / "table.npz")
@@ -572,7 +572,7 @@ def test_frozen_legs_come_back_to_a_table_that_comes_back(ros: Ros, tmp_path: Pa
     robot.walk_to(200)
     shared = robot.start("table_node", table=file).shared
     push = ros.client(topics.PUSH)
-    taught = Push(0, "a teacher", 0, cells_sha256(Params()), (Pair(3, 7, 0.25),))
+    taught = UpdateBatch(0, "a teacher", 0, cells_sha256(Params()), (TDUpdate(3, 7, 0.25),))
     assert ros.call(push, calls.write_push(taught)).result.successful
     ros.spin_until(lambda: shared.table.visits[7] == 1, "somebody pulls")
     legs = [node.module.copy.table for name, node in robot.nodes.items() if name in LEG_NODES]
@@ -617,7 +617,7 @@ def test_a_leg_in_a_new_life_lays_no_pair_twice() -> None:
         if upto is not None:
             copy.take(shared.pull(copy.version, upto), upto)
         for tick in range(first, last + 1):
-            copy.learn(Pair(tick, tick % 7, tick / 9))
+            copy.learn(TDUpdate(tick, tick % 7, tick / 9))
         copy.close_epoch(last)
         while (push := copy.push_due()) is not None:
             shared.push(push)
@@ -626,7 +626,7 @@ def test_a_leg_in_a_new_life_lays_no_pair_twice() -> None:
     for n in range(3):
         epoch(32 * n, 32 * n + 31)
     epoch(96, 100)
-    copy.restart(100, "two")
+    copy.reset(100, "two")
     for n in range(5):
         epoch(32 * n, 32 * n + 31)
         assert copy.table.visits.sum() == 101 + 32 * (n + 1)
@@ -653,16 +653,16 @@ def test_learning_is_switched_off_for_the_whole_robot(ros: Ros) -> None:
 
 def test_in_real_time_nobody_is_waited_for(ros: Ros) -> None:
     """A leg that is gone stops nothing and is named; the world is never faster than the wall."""
-    plan = dataclasses.replace(walk(), params=changed(Params(), gait__period=0.1))
+    config = dataclasses.replace(walk(), params=changed(Params(), gait__period=0.1))
     began = time.monotonic()
-    robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000, "patience": 1000.0})
+    robot = Robot(ros, config, sim_node={"mode": "realtime", "cycles": 1000, "patience": 1000.0})
     diagnostics = ros.messages(topics.DIAGNOSTICS)
     robot.walk_to(20)
     robot.kill("leg_front_right")
     died = robot.tick
     robot.walk_to(died + 64)
     elapsed = time.monotonic() - began
-    assert robot.tick <= elapsed / plan.params.gait.tick_s + 1
+    assert robot.tick <= elapsed / config.params.gait.tick_s + 1
     ros.spin_until(
         lambda: level(diagnostics[-1], "front_right") == (DiagnosticStatus.ERROR, "absent"),
         "diagnostics say who is absent",
@@ -684,8 +684,8 @@ def test_in_real_time_lateness_is_counted_and_told_now_and_then(
     def told(text: str) -> list[str]:
         return [line for line in log() if text in line]
 
-    plan = dataclasses.replace(walk(), params=changed(Params(), gait__period=1.0))
-    robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000})
+    config = dataclasses.replace(walk(), params=changed(Params(), gait__period=1.0))
+    robot = Robot(ros, config, sim_node={"mode": "realtime", "cycles": 1000})
     robot.walk_to(5)
     robot.kill("leg_front_right")
     ros.spin_until(lambda: len(told("command in time: ")) > 1, "who is late is told")
@@ -714,8 +714,8 @@ def test_in_real_time_the_world_stands_still_without_a_phase_and_goes_on_with_on
     ros: Ros,
 ) -> None:
     """The phase is what time is for the legs: without it nothing is stepped, in any mode."""
-    plan = dataclasses.replace(walk(), params=changed(Params(), gait__period=0.1))
-    robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000})
+    config = dataclasses.replace(walk(), params=changed(Params(), gait__period=0.1))
+    robot = Robot(ros, config, sim_node={"mode": "realtime", "cycles": 1000})
     robot.walk_to(20)
     robot.kill("cpg_node")
     ticks = itertools.count()

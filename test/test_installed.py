@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from ember_ros import topics
-from ember_ros.bag.reading import Bag
+from ember_ros.bag.reader import Bag
 from ember_ros.entry_points import NODES
 from support.ros import Ros, reserved_domain
 

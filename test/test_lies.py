@@ -27,7 +27,7 @@ import mutate
 from ember_ros import wire
 from ember_ros.bag import guard
 from ember_ros.bag.guard import load_yaml
-from ember_ros.bag.reading import Bag
+from ember_ros.bag.reader import Bag
 from ember_ros.bag.repair import repair
 from ember_ros.bag.storage import INFORMATION, METADATA
 from ember_ros.errors import BagError, EmberError, SignalError, shown

@@ -14,8 +14,8 @@ from ember_ros.errors import ParameterError, TableError
 from ember_ros.loop import Loop
 from ember_ros.params import TRAINER_LEG, Params, replace
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import Recorder
+from ember_ros.report.run_statistics import RunStatistics
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import LegSense
 from ember_ros.worlds import make_world
 from leg_node.assembly import empty_table
@@ -52,22 +52,22 @@ class Ran(NamedTuple):
 
 
 @contextmanager
-def looping(where: str, cycles: int, **plan: Any) -> Iterator[Loop]:
+def looping(where: str, cycles: int, **config: Any) -> Iterator[Loop]:
     """Give a loop in a world, the fake one with a fall now and then, and close it."""
     world = None
     if where == "fake":
-        world = FakeWorld(LEGS, plan.get("params", PARAMS), falls_at={50, 51, 200})
-    loop = Loop(Plan("trainer" if where == "trainer" else "walker", cycles, **plan), world)
+        world = FakeWorld(LEGS, config.get("params", PARAMS), falls_at={50, 51, 200})
+    loop = Loop(RunConfig("trainer" if where == "trainer" else "walker", cycles, **config), world)
     try:
         yield loop
     finally:
         loop.close()
 
 
-def run(where: str, cycles: int, *, extra: int = 0, **plan: Any) -> Ran:
+def run(where: str, cycles: int, *, extra: int = 0, **config: Any) -> Ran:
     """Run a plan, and some ticks more, and bring everything home."""
-    with looping(where, cycles, **plan) as loop:
-        recorder = Recorder(plan.get("params", PARAMS), loop.world.legs)
+    with looping(where, cycles, **config) as loop:
+        recorder = RunStatistics(config.get("params", PARAMS), loop.world.legs)
         for _ in range(cycles * TICKS + extra):
             loop.tick(recorder)
         recorder.finish(loop.world.observe(), loop.world.body())
@@ -149,8 +149,8 @@ def test_the_script_walks_on_the_trainer() -> None:
 @every_world
 def test_frozen_learning_leaves_the_table(where: str, tmp_path: Path) -> None:
     """A table given, learning off: what ends is what began, and its use does not change it."""
-    plan: dict[str, Any] = {"policy": "random", "seed": 4}
-    with looping(where, 3, **plan) as loop:
+    config: dict[str, Any] = {"policy": "random", "seed": 4}
+    with looping(where, 3, **config) as loop:
         for _ in range(3 * TICKS):
             loop.tick()
         table = loop.finish()
@@ -178,11 +178,11 @@ def test_a_table_is_used_from_the_first_tick(tmp_path: Path) -> None:
 def test_a_wrong_table_is_refused_before_the_run(tmp_path: Path) -> None:
     """A missing table, or one of another partition, never becomes an empty one."""
     with pytest.raises(TableError, match="there is no table"):
-        Loop(Plan("walker", 1, table=tmp_path / "none.npz"), FakeWorld(LEGS))
+        Loop(RunConfig("walker", 1, table=tmp_path / "none.npz"), FakeWorld(LEGS))
     params = replace(PARAMS, {"state.hip_bins": 5})
     save_table(tmp_path / "other.npz", empty_table(params), params, 0)
     with pytest.raises(TableError, match=r"other\.npz"):
-        Loop(Plan("walker", 1, table=tmp_path / "other.npz"), FakeWorld(LEGS))
+        Loop(RunConfig("walker", 1, table=tmp_path / "other.npz"), FakeWorld(LEGS))
 
 
 # -- sharing -------------------------------------------------------------------------------------
@@ -205,7 +205,7 @@ def test_what_is_reported_is_what_was_paid() -> None:
     """Legs of another reward are reported by it, term by term, not by the paper's."""
     params = replace(PARAMS, {"parts.reward": f"{__name__}.PaidForSpeed"})
     with looping("fake", 2, policy="random", params=params) as loop:
-        heard, recorder = Heard(), Recorder(PARAMS, LEGS)
+        heard, recorder = Heard(), RunStatistics(PARAMS, LEGS)
         for _ in range(2 * TICKS):
             loop.tick(heard, recorder)
         recorder.finish(loop.world.observe(), loop.world.body())
@@ -213,7 +213,7 @@ def test_what_is_reported_is_what_was_paid() -> None:
         for place in range(4):
             for senses, paid in zip(heard.senses, heard.transitions, strict=True):
                 did, sense = paid[place], senses[place]
-                assert did.credited is (sense.tick > 0 and not sense.restart)
+                assert did.credited is (sense.tick > 0 and not sense.first_tick)
                 if did.credited:
                     terms = {"speed": abs(sense.knee_speed), "fine": -0.5 if did.stance else 0.0}
                     assert dict(did.terms) == terms
@@ -259,7 +259,7 @@ def test_everything_comes_home(where: str, sync_every: int, extra: int) -> None:
         for _ in range(9 * TICKS + extra):
             loop.tick(heard)
         table = loop.finish()
-    updates = sum(not sense.restart for senses in heard.senses[1:] for sense in senses)
+    updates = sum(not sense.first_tick for senses in heard.senses[1:] for sense in senses)
     assert updates <= 4 * (9 * TICKS + extra - 1)
     assert (updates < 4 * (9 * TICKS + extra - 1)) == any(body.falls for body in heard.bodies)
     assert int(table.visits.sum()) == updates
@@ -286,7 +286,7 @@ def test_a_lone_leg_does_not_notice_sharing(sync_every: int) -> None:
     params = replace(PARAMS, {"train.sync_every": sync_every})
     runs = []
     for each in (params, PARAMS):
-        loop = Loop(Plan("trainer", 6, params=each), FakeWorld((TRAINER_LEG,), each))
+        loop = Loop(RunConfig("trainer", 6, params=each), FakeWorld((TRAINER_LEG,), each))
         heard = Heard()
         for _ in range(6 * TICKS):
             loop.tick(heard)
@@ -352,8 +352,11 @@ def test_a_leg_s_name_and_place_go_with_its_senses() -> None:
 
 def test_plans_name_their_legs_and_stage() -> None:
     """The trainer has one leg and trains it; the walker has four and walks."""
-    assert (Plan("trainer", 1).legs, Plan("trainer", 1).stage) == ((TRAINER_LEG,), "train")
-    assert (Plan("walker", 1).legs, Plan("walker", 1).stage) == (LEGS, "walk")
+    assert (RunConfig("trainer", 1).legs, RunConfig("trainer", 1).stage) == (
+        (TRAINER_LEG,),
+        "train",
+    )
+    assert (RunConfig("walker", 1).legs, RunConfig("walker", 1).stage) == (LEGS, "walk")
 
 
 @pytest.mark.parametrize(
@@ -367,7 +370,7 @@ def test_plans_name_their_legs_and_stage() -> None:
 def test_a_wrong_plan_is_refused(wrong: dict[str, Any], says: str) -> None:
     """A plan that cannot be run says why when it is made."""
     with pytest.raises(ParameterError, match=says):
-        Plan(**{"world": "walker", "cycles": 1, **wrong})
+        RunConfig(**{"world": "walker", "cycles": 1, **wrong})
 
 
 def test_a_wrong_world_is_refused() -> None:
@@ -388,4 +391,4 @@ def test_without_pybullet_a_world_says_what_to_install(monkeypatch: pytest.Monke
 def test_a_wrong_policy_is_refused() -> None:
     """The loop is not built around a leg that cannot be."""
     with pytest.raises(ParameterError, match="no policy 'best'"):
-        Loop(Plan("walker", 1, policy="best"), FakeWorld(LEGS))
+        Loop(RunConfig("walker", 1, policy="best"), FakeWorld(LEGS))

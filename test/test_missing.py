@@ -31,7 +31,7 @@ WALK = (
     WALL
     + """
 from ember_ros.graph import Graph
-from ember_ros.plan import Plan
+from ember_ros.run_config import Plan
 from sim_node.fake import FakeWorld
 graph = Graph(Plan("walker", 2), world=FakeWorld())
 graph.run()

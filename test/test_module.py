@@ -11,7 +11,7 @@ from ember_ros.errors import ParameterError
 from ember_ros.params import TRAINER_LEG, Params, replace
 from ember_ros.params_file import load_params
 from ember_ros.randomness import generator
-from ember_ros.signals import LegCommand, LegSense, Pair, Transition
+from ember_ros.signals import LegCommand, LegSense, TDUpdate, Transition
 from leg_node.assembly import empty_table, make_leg, make_task, position_of
 from leg_node.discretizer import PaperDiscretizer
 from leg_node.module import LegModule
@@ -268,20 +268,20 @@ class Remembering:
 
     def __init__(self) -> None:
         """Begin with nothing to learn."""
-        self.waiting: list[Pair] = []
+        self.waiting: list[TDUpdate] = []
         self.asked: list[str] = []
 
     def q_values(self, tick: int, state: int) -> list[float]:
         """Return equal values."""
         return [0.0] * len(SPEEDS)
 
-    def learn(self, transition: Transition) -> list[Pair]:
+    def learn(self, transition: Transition) -> list[TDUpdate]:
         """Return the update of the transition before."""
         self.asked.append(f"learn {transition.tick}")
-        due, self.waiting = self.waiting, [Pair(transition.tick, transition.tick, 1.0)]
+        due, self.waiting = self.waiting, [TDUpdate(transition.tick, transition.tick, 1.0)]
         return due
 
-    def reset(self) -> list[Pair]:
+    def reset(self) -> list[TDUpdate]:
         """Return the update that waits."""
         self.asked.append("reset")
         due, self.waiting = self.waiting, []
@@ -325,7 +325,7 @@ def test_a_new_life_ends_the_old_one_first() -> None:
     push = leg.copy.push_due()
     assert push is not None
     assert push.run == "run"
-    assert [pair.cell for pair in push.pairs] == [1, 2, 3]
+    assert [update.cell for update in push.updates] == [1, 2, 3]
 
 
 def test_the_error_is_of_the_last_update_that_was_made() -> None:
@@ -458,4 +458,4 @@ def test_a_leg_that_shares_keeps_its_pairs() -> None:
     due.append(leg.copy.push_due())
     assert due[0] is not None
     assert (due[0].leg, due[0].epoch) == (1, 0)
-    assert [pair.tick for pair in due[0].pairs] == list(range(1, TICKS - 1))
+    assert [update.tick for update in due[0].updates] == list(range(1, TICKS - 1))

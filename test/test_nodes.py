@@ -24,14 +24,14 @@ from ember_ros.errors import EmberError, ParameterError, TableError
 from ember_ros.loop import Loop
 from ember_ros.options import OPTIONS
 from ember_ros.params import SPECS, Params, cells_sha256
-from ember_ros.plan import Plan
 from ember_ros.run import SUMMARY
-from ember_ros.signals import Beat, LegSense, Pair
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import Beat, LegSense, TDUpdate
 from ember_ros.spinning import main_of
 from leg_node import calls
 from leg_node.assembly import empty_table, make_leg
 from leg_node.node import LegNode
-from leg_node.shared import Push, SharedTable
+from leg_node.shared import SharedTable, UpdateBatch
 from leg_node.table_file import load_table, save_table
 from leg_node.table_node import TableNode
 from sim_node.node import FINISHED, SimNode
@@ -196,7 +196,7 @@ def test_the_table_of_topics_is_what_the_nodes_have(ros: Ros) -> None:
             held |= live(ros, what, node)
     on_the_graph = {n: t for n, t in listed.items() if not n.startswith("run/")}
     assert {n.replace("leg/", "<leg>/"): t for n, t in held.items()} == on_the_graph
-    in_bags = (topics.CARD, topics.VALUES, topics.VISITS, topics.CRC)
+    in_bags = (topics.RUN_METADATA, topics.VALUES, topics.VISITS, topics.CRC)
     assert {t.name: t.kind.replace("/msg", "") for t in in_bags} == {
         n: t for n, t in listed.items() if n not in on_the_graph
     }
@@ -467,7 +467,7 @@ def test_a_cpg_says_the_phase_of_every_clock_once(ros: Ros) -> None:
 @pytest.fixture(scope="module")
 def tape() -> Heard:
     """Record four cycles of the walker."""
-    loop, tape = Loop(Plan("walker", 4, seed=7)), Heard()
+    loop, tape = Loop(RunConfig("walker", 4, seed=7)), Heard()
     for _ in range(128):
         loop.tick(tape)
     loop.close()
@@ -656,7 +656,9 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "before.npz"
 
 
-GOOD = Push(1, "a run", 5, cells_sha256(Params()), (Pair(160, 3, 0.5), Pair(161, 4, -0.25)))
+GOOD = UpdateBatch(
+    1, "a run", 5, cells_sha256(Params()), (TDUpdate(160, 3, 0.5), TDUpdate(161, 4, -0.25))
+)
 
 
 def push_with(name: str, **fields: Any) -> SetParametersAtomically.Request:
@@ -758,8 +760,8 @@ def test_a_push_is_merged_once_however_often_it_comes(ros: Ros) -> None:
 def test_the_order_in_which_pushes_come_does_not_matter(ros: Ros) -> None:
     """Pairs of one epoch are merged in the order of ticks and legs."""
     pushes = [
-        Push(leg, f"run {leg}", 0, GOOD.cells_sha256,
-             tuple(Pair(tick, 7, (leg + 1) / (tick + 3)) for tick in range(5)))
+        UpdateBatch(leg, f"run {leg}", 0, GOOD.cells_sha256,
+             tuple(TDUpdate(tick, 7, (leg + 1) / (tick + 3)) for tick in range(5)))
         for leg in range(4)
     ]  # fmt: skip
     tables = set()
@@ -858,7 +860,7 @@ def test_a_table_that_could_never_be_saved_is_refused_at_once(ros: Ros, tmp_path
 def test_saving_changes_nothing_of_what_is_learnt_after(ros: Ros, tmp_path: Path) -> None:
     """A save between two legs' pushes of one epoch leaves their order of merging alone."""
     first, second = (
-        Push(leg, f"run {leg}", 0, GOOD.cells_sha256, (Pair(3, 7, target),))
+        UpdateBatch(leg, f"run {leg}", 0, GOOD.cells_sha256, (TDUpdate(3, 7, target),))
         for leg, target in ((0, 1.0), (1, -0.3))
     )
     tables = set()
@@ -867,8 +869,8 @@ def test_saving_changes_nothing_of_what_is_learnt_after(ros: Ros, tmp_path: Path
         push, pull, save = map(ros.client, (topics.PUSH, topics.PULL, topics.SAVE))
         for leg in (second, first):
             for n in range(3):
-                pairs = (Pair(3 + n, 7, leg.pairs[0].target / (n + 1)),)
-                push_ = leg._replace(epoch=n, pairs=pairs)
+                updates = (TDUpdate(3 + n, 7, leg.updates[0].target / (n + 1)),)
+                push_ = leg._replace(epoch=n, updates=updates)
                 assert ros.call(push, calls.write_push(push_)).result.successful
             if saves:
                 assert ros.call(save, Trigger.Request()).success
@@ -914,7 +916,7 @@ def test_learning_can_be_switched_off_and_on(ros: Ros) -> None:
         assert ("merged" if on else "dropped") in answer.message
         assert ros.call(push, calls.write_push(GOOD._replace(epoch=epoch))).result.successful
     ros.call(pull, calls.write_pull(None, 9))
-    assert node.shared.table.visits.sum() == 2 * len(GOOD.pairs)
+    assert node.shared.table.visits.sum() == 2 * len(GOOD.updates)
     assert node.refused == 0
 
 

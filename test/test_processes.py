@@ -25,8 +25,8 @@ from ember_ros.errors import GraphError
 from ember_ros.graph import Graph, Processes, node_options, processes
 from ember_ros.params import Params, as_dict, replace
 from ember_ros.params_file import dump_params, load_params
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import load_record
+from ember_ros.report.run_statistics import load_record
+from ember_ros.run_config import RunConfig
 from ember_ros.seat import TAKEN, TakenError
 from leg_node.table_file import load_table
 from support.legs import LEGS
@@ -50,27 +50,27 @@ def wire_tick(message: Any) -> int:
     return int((stamp.sec * 10**9 + stamp.nanosec) // Params().gait.tick_ns)
 
 
-def walk(sync_every: int = 32, **options: Any) -> Plan:
+def walk(sync_every: int = 32, **options: Any) -> RunConfig:
     """Return a plan of a walker that learns."""
     params = replace(Params(), {"walk.sync_every": sync_every})
-    return Plan("walker", CYCLES, params=params, **options)
+    return RunConfig("walker", CYCLES, params=params, **options)
 
 
 # -- the same bits -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    "plan",
+    "config",
     [
         walk(sync_every=48, seed=4),
         walk(sync_every=1, seed=3),
-        Plan("trainer", 2 * CYCLES, seed=5),
-        Plan("walker", 4, seed=6, params=load_params("hexapod")),
+        RunConfig("trainer", 2 * CYCLES, seed=5),
+        RunConfig("walker", 4, seed=6, params=load_params("hexapod")),
     ],
     ids=["walker, the end within an epoch", "walker, one table for all", "trainer", "hexapod"],
 )
 def test_processes_end_with_the_bits_of_the_loop(
-    ros: Ros, tmp_path: Path, by_loop: Callable[[Plan], Bits], plan: Plan
+    ros: Ros, tmp_path: Path, by_loop: Callable[[RunConfig], Bits], config: RunConfig
 ) -> None:
     """Table, senses and commands are equal, bit for bit; nobody refuses anything or is late."""
     diagnostics = ros.messages(topics.DIAGNOSTICS, matched=False)
@@ -81,19 +81,19 @@ def test_processes_end_with_the_bits_of_the_loop(
         ros.spin_once(0.0)
         return go_on()
 
-    with processes(plan, tmp_path, patience=PATIENCE_S) as running:
+    with processes(config, tmp_path, patience=PATIENCE_S) as running:
         running.wait(look_on)
     codes = {name: process.returncode for name, process in running.processes.items()}
     assert codes == dict.fromkeys(codes, 0)
     measured = load_record(tmp_path).measured
-    table, about = load_table(tmp_path / "table.npz", plan.params)
-    expected = by_loop(plan)
+    table, about = load_table(tmp_path / "table.npz", config.params)
+    expected = by_loop(config)
     assert table.sha256() == expected.table
     assert measured["senses_sha256"] == expected.senses
     assert measured["commands_sha256"] == expected.commands
     assert measured["falls"] == expected.falls
     assert not any(measured["absent_ticks"].values())
-    assert about["seed"] == plan.seed
+    assert about["seed"] == config.seed
     for log in (tmp_path / "log").iterdir():
         said = log.read_text()
         for word in ("refused", "Traceback", "error", "absent", "alone"):
@@ -119,14 +119,14 @@ def test_a_process_that_cannot_start_is_named_with_what_it_said(ros: Ros, tmp_pa
 class Fleet:
     """The processes of a robot, each of which can be killed and started again."""
 
-    def __init__(self, ros: Ros, plan: Plan, out: Path, **options: dict[str, Any]) -> None:
+    def __init__(self, ros: Ros, config: RunConfig, out: Path, **options: dict[str, Any]) -> None:
         """Start all, with some options changed."""
         self._ros, self._out = ros, out
         self._params = out / "params.yaml"
-        self._params.write_text(dump_params(plan.params), encoding="utf-8")
+        self._params.write_text(dump_params(config.params), encoding="utf-8")
         self.options = {
             name: {**given, **options.get(name, {})}
-            for name, given in node_options(plan, out).items()
+            for name, given in node_options(config, out).items()
         }
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self.ended: list[tuple[str, int]] = []
@@ -406,9 +406,9 @@ def test_nothing_learnt_is_lost_when_all_are_stopped_at_once(
 
     Soon is before launch sends a stronger signal.
     """
-    plan = walk(seed=6, policy="scripted")  # that never falls: a fall teaches nothing
+    config = walk(seed=6, policy="scripted")  # that never falls: a fall teaches nothing
     sim = {"cycles": FOREVER, "out": "", "patience": PATIENCE_S}  # who comes late has learnt less
-    fleet = Fleet(ros, plan, tmp_path, sim_node=sim)
+    fleet = Fleet(ros, config, tmp_path, sim_node=sim)
     paid = {leg: ros.messages(topics.transition(leg), matched=False) for leg in LEGS}
     try:
         fleet.until(lambda: fleet.tick() > tick and all(paid.values()), "the robot walks")

@@ -15,7 +15,7 @@ HOUSE = ("ember_ros", "leg_node", "cpg_node", "sim_node")
 
 # Files that may import ROS anywhere.
 ROS = {
-    "ember_ros.bag.inquiry",
+    "ember_ros.bag.metadata_client",
     "ember_ros.bag.player_node",
     "ember_ros.bag.recorder_node",
     "leg_node.calls",
@@ -206,7 +206,7 @@ def test_a_robot_runs_without_ros_and_bullet() -> None:
     """In a Python that has neither, the loop runs in the fake world."""
     run = """
 from ember_ros.loop import Loop
-from ember_ros.plan import Plan
+from ember_ros.run_config import Plan
 from sim_node.fake import FakeWorld
 loop = Loop(Plan("walker", 1), FakeWorld())
 for _ in range(64):

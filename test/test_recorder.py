@@ -15,7 +15,15 @@ import numpy as np
 import pytest
 
 from ember_ros.params import Params
-from ember_ros.report.recorder import BODY, CYCLES, MEASURED, TRACES, Recorder, Row, load_record
+from ember_ros.report.run_statistics import (
+    BODY,
+    CYCLES,
+    MEASURED,
+    TRACES,
+    Row,
+    RunStatistics,
+    load_record,
+)
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from leg_node.assembly import make_leg
 from leg_node.reward import PaperReward
@@ -64,17 +72,17 @@ def run(ticks: int, *, falls_at: Sequence[int] = (), legs: Sequence[str] = LEGS)
 
 def record(
     heard: Sequence[Tick], folder: Path | None = None, changed: dict[int, Tick] | None = None
-) -> Recorder:
+) -> RunStatistics:
     """Return the finished record of a run, some of its ticks changed."""
     every = [(changed or {}).get(n, tick) for n, tick in enumerate(heard)]
-    recorder = Recorder(PARAMS, LEGS[: len(heard[0].senses)], folder)
+    recorder = RunStatistics(PARAMS, LEGS[: len(heard[0].senses)], folder)
     for tick in every[:-1]:
         recorder.tick(*tick)
     recorder.finish(every[-1].senses, every[-1].body)
     return recorder
 
 
-def hashes(recorder: Recorder) -> tuple[str, str, str]:
+def hashes(recorder: RunStatistics) -> tuple[str, str, str]:
     """Return the hashes of senses, commands and transitions."""
     summary = recorder.summary()
     return (
@@ -127,7 +135,7 @@ def test_the_legs_lines() -> None:
                     strict=False,
                 )
             ]
-            felt = [each for each in ends if not each[2].restart]
+            felt = [each for each in ends if not each[2].first_tick]
             assert len(felt) == TICKS - cycle
             (row,) = (r for r in recorder.rows if (r.cycle, r.module) == (cycle, leg))
             assert row.peak_force_n == max(sense.force_peak for *_, sense in felt)
@@ -389,7 +397,7 @@ def test_hashes_are_the_same_on_every_machine() -> None:
     """The bytes hashed, written down by hand: little-endian, 64 bits a number, fields in order."""
     sense = LegSense(3, 0.5, 1.0, -1.0, 2.0, 24.5, 30.0, -0.5, 0.001, True, True, False)
     body = BodyState(0.0, 0.0, 0.45, 0.0, 0.0, 0.0, 0)
-    recorder = Recorder(PARAMS, LEGS[:1])
+    recorder = RunStatistics(PARAMS, LEGS[:1])
     paid = Transition(3, 70, True, 8, (("height", 0.5), ("slip", -0.25)), 71, False, -0.125)
     recorder.tick(beat(3), [sense], [LegCommand(3, -0.25, 8.0, 12.0, 16.0)], body, [paid])
     recorder.tick(beat(4), [sense._replace(tick=4)], [None], body, [None])
@@ -431,7 +439,7 @@ def test_a_finished_record_is_read_back(tmp_path: Path) -> None:
 def test_whole_cycles_are_in_the_file_at_once(tmp_path: Path) -> None:
     """A run that dies loses at most the cycle it was in: each is written when it ends."""
     heard = run(2 * TICKS)
-    recorder = Recorder(PARAMS, LEGS, tmp_path)
+    recorder = RunStatistics(PARAMS, LEGS, tmp_path)
     lines = []
     for tick in heard:
         recorder.tick(*tick)
@@ -473,7 +481,7 @@ def test_finishing_twice_is_finishing_once(tmp_path: Path) -> None:
 
 def test_a_run_of_no_tick(tmp_path: Path) -> None:
     """Stopped before it began: a whole record of nothing, not an error."""
-    recorder = Recorder(PARAMS, LEGS, tmp_path)
+    recorder = RunStatistics(PARAMS, LEGS, tmp_path)
     (first,) = run(0)
     recorder.finish(first.senses, first.body)
     summary = recorder.summary()
@@ -487,7 +495,7 @@ def test_a_run_of_no_tick(tmp_path: Path) -> None:
 def test_looking_on_does_not_disturb() -> None:
     """A summary asked for in the middle of a run changes nothing in it."""
     heard = run(TICKS + 9)
-    recorder = Recorder(PARAMS, LEGS)
+    recorder = RunStatistics(PARAMS, LEGS)
     for tick in heard[:-1]:
         recorder.tick(*tick)
         recorder.summary()

@@ -132,7 +132,7 @@ def test_height_is_what_the_leg_itself_can_sense() -> None:
     error = kinematics.height(LEG, bent.knee, bent.inclination) - LEG.operating_height
     assert REWARDER.terms(bent, True)["height"] == REWARD.height * height_term(REWARD, error)
     other = STANDING._replace(
-        tick=3, hip=3.0, hip_speed=3.0, knee_speed=3.0, hair=True, restart=True
+        tick=3, hip=3.0, hip_speed=3.0, knee_speed=3.0, hair=True, first_tick=True
     )
     assert REWARDER.terms(other, True) == REWARDER.terms(STANDING, True)
 

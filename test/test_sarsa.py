@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from ember_ros.loop import Loop
 from ember_ros.params import Learning, Params, replace
-from ember_ros.plan import Plan
 from ember_ros.randomness import generator
-from ember_ros.signals import Pair, Transition
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import TDUpdate, Transition
 from leg_node import sarsa
 from leg_node.sarsa import HORIZON, SarsaLambda
 from sim_node.fake import FakeWorld
@@ -54,7 +54,7 @@ def long_chain(ticks: int) -> list[Transition]:
     return [step(n + 1, states[n], n % 3 % 2, (-1.0) ** n * n, states[n + 1]) for n in range(ticks)]
 
 
-def learn(chain: Sequence[Transition], agent: SarsaLambda | None = None) -> list[Pair]:
+def learn(chain: Sequence[Transition], agent: SarsaLambda | None = None) -> list[TDUpdate]:
     """Return all updates of a chain, its end included."""
     agent = agent or learner()
     updates = [update for each in chain for update in agent.learn(each)]
@@ -89,7 +89,7 @@ def test_the_return_of_three_ticks_worked_out_by_hand() -> None:
     second = -3.0 + 0.5 * (0.3 * 0.25 + 0.7 * third)
     first = 10.0 + 0.5 * (0.3 * 3.0 + 0.7 * second)
     assert (third, second, first) == pytest.approx((9.5, 0.3625, 10.576875))
-    cells, targets = zip(*[(pair.cell, pair.target) for pair in learn(CHAIN)], strict=True)
+    cells, targets = zip(*[(update.cell, update.target) for update in learn(CHAIN)], strict=True)
     assert cells == (0 * ACTIONS + 1, 1 * ACTIONS + 0, 2 * ACTIONS + 1)
     assert targets == pytest.approx((first, second, third), abs=1e-12)
 
@@ -98,8 +98,8 @@ def test_with_a_lambda_of_0_it_is_one_step_sarsa(monkeypatch: pytest.MonkeyPatch
     """Reward and what is believed of the action that was really chosen next, no other."""
     monkeypatch.setattr(sarsa, "LAMBDA", 0.0)
     chain = long_chain(30)
-    for pair, (did, then) in zip(learn(chain), itertools.pairwise(chain), strict=False):
-        assert pair.target == did.reward + GAMMA * VALUES[then.state][then.action]
+    for update, (did, then) in zip(learn(chain), itertools.pairwise(chain), strict=False):
+        assert update.target == did.reward + GAMMA * VALUES[then.state][then.action]
 
 
 def test_with_a_lambda_of_1_only_the_end_is_believed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,9 +114,11 @@ def test_every_transition_is_updated_once_towards_its_return(ticks: int) -> None
     """In order, each towards what the definition says; nothing is lost at the end."""
     chain = long_chain(ticks)
     updates = learn(chain)
-    assert [pair.cell for pair in updates] == [did.state * ACTIONS + did.action for did in chain]
-    for n, pair in enumerate(updates):
-        assert pair.target == pytest.approx(by_definition(chain, n, sarsa.LAMBDA), abs=1e-9)
+    assert [update.cell for update in updates] == [
+        did.state * ACTIONS + did.action for did in chain
+    ]
+    for n, update in enumerate(updates):
+        assert update.target == pytest.approx(by_definition(chain, n, sarsa.LAMBDA), abs=1e-9)
 
 
 def test_an_update_waits_until_the_horizon_is_known() -> None:
@@ -124,12 +126,12 @@ def test_an_update_waits_until_the_horizon_is_known() -> None:
     agent, counts = learner(), []
     for did in long_chain(HORIZON + 5):
         updates = list(agent.learn(did))
-        assert all(pair.tick == did.tick for pair in updates)
+        assert all(update.tick == did.tick for update in updates)
         counts.append(len(updates))
     assert counts == [0] * HORIZON + [1] * 5
     rest = list(agent.reset())
     assert len(rest) == HORIZON
-    assert {pair.tick for pair in rest} == {HORIZON + 5}
+    assert {update.tick for update in rest} == {HORIZON + 5}
 
 
 def test_a_reset_empties_it() -> None:
@@ -156,7 +158,7 @@ def test_a_robot_that_learns_by_it_updates_every_transition_once(sync_every: int
         {"parts.learner": "leg_node.sarsa.SarsaLambda", "walk.sync_every": sync_every},
     )
     loop = Loop(
-        Plan("walker", 4, params=params, policy="random"),
+        RunConfig("walker", 4, params=params, policy="random"),
         FakeWorld(LEGS, params, falls_at={50, 51, 90}),
     )
     heard = Heard()

@@ -13,11 +13,11 @@ from rclpy.node import Node
 from cpg_node.node import CpgNode
 from ember_ros import seat, topics, wire
 from ember_ros.bag.player_node import PlayerNode
-from ember_ros.bag.reading import Bag
+from ember_ros.bag.reader import Bag
 from ember_ros.errors import BagError
 from ember_ros.graph import Graph
 from ember_ros.params import Params, replace
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.seat import TAKEN, Seat, TakenError, make_sure
 from ember_ros.spinning import main_of
 from leg_node.node import LegNode
@@ -29,7 +29,7 @@ from support.ros import Ros
 from support.runs import Bits
 from support.waiting import in_time
 
-PLAN = Plan("walker", 6, seed=4, params=replace(Params(), {"walk.sync_every": 32}))
+PLAN = RunConfig("walker", 6, seed=4, params=replace(Params(), {"walk.sync_every": 32}))
 SOON_S = 1.0
 """Wall time for a lease where nobody is to be waited for."""
 MAKERS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -85,7 +85,7 @@ def test_a_table_that_comes_second_touches_no_file(ros: Ros, tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_of_two_runs_one_is_refused_and_the_other_ends_with_its_own_bits(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """Before and while the first runs; once it is closed, a next one may."""
     with closing(Graph(PLAN, patience=PATIENCE_S, context=ros.context)) as graph:

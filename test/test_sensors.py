@@ -50,7 +50,7 @@ class Foot:
             for force, x, y in points:
                 self.sensors.touch(self.step, force, x, y)
         foot = turned(pitch, yaw)
-        return self.sensors.sense(self.tick, self.step, JOINTS, foot, height, restart=False)
+        return self.sensors.sense(self.tick, self.step, JOINTS, foot, height, first_tick=False)
 
 
 def test_forces_are_mean_and_peak_of_the_steps() -> None:
@@ -128,6 +128,6 @@ def test_the_hair_touches_below_its_length() -> None:
 def test_joints_and_restart_pass_as_they_are() -> None:
     """In the order of ``LegSense``."""
     sensors = LegSensors(PARAMS)
-    sense = sensors.sense(7, 28, JOINTS, turned(0.0), 1.0, restart=True)
+    sense = sensors.sense(7, 28, JOINTS, turned(0.0), 1.0, first_tick=True)
     assert (sense.hip, sense.knee, sense.hip_speed, sense.knee_speed) == JOINTS
-    assert (sense.tick, sense.restart, sense.contact) == (7, True, False)
+    assert (sense.tick, sense.first_tick, sense.contact) == (7, True, False)

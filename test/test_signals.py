@@ -8,11 +8,11 @@ from typing import Any, NamedTuple, get_type_hints
 import pytest
 
 from ember_ros.params import TRAINER_LEG
-from ember_ros.report import recorder
-from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Pair, Transition
+from ember_ros.report import run_statistics
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, TDUpdate, Transition
 from support.legs import LEGS
 
-SIGNALS = (Beat, LegSense, LegCommand, Pair, BodyState)
+SIGNALS = (Beat, LegSense, LegCommand, TDUpdate, BodyState)
 
 
 @pytest.mark.parametrize("signal", SIGNALS)
@@ -28,7 +28,7 @@ def test_signals_cannot_be_changed() -> None:
         command.tick = 1  # type: ignore[misc]
 
 
-@pytest.mark.parametrize("signal", [Beat, LegSense, LegCommand, Pair, Transition])
+@pytest.mark.parametrize("signal", [Beat, LegSense, LegCommand, TDUpdate, Transition])
 def test_signals_name_their_tick_first(signal: type[NamedTuple]) -> None:
     """A value of one tick can never be taken for one of another: the tick is in it."""
     assert signal._fields[0] == "tick"
@@ -36,7 +36,7 @@ def test_signals_name_their_tick_first(signal: type[NamedTuple]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("signal", "layout"), [(LegSense, recorder._SENSE), (LegCommand, recorder._COMMAND)]
+    ("signal", "layout"), [(LegSense, run_statistics._SENSE), (LegCommand, run_statistics._COMMAND)]
 )
 def test_hashes_cover_every_field(signal: type[NamedTuple], layout: Struct) -> None:
     """The bytes that are hashed hold each field in its full width, in order, without padding."""
@@ -54,7 +54,7 @@ def test_a_transition_is_hashed_whole() -> None:
     assert hints.pop("terms") == tuple[tuple[str, float], ...]
     assert set(hints.values()) <= {float, int, bool}
     sizes = {int: 8, float: 8, bool: 1}
-    assert recorder._TRANSITION.size == sum(sizes[kind] for kind in hints.values())
+    assert run_statistics._TRANSITION.size == sum(sizes[kind] for kind in hints.values())
 
 
 def did(**changes: Any) -> Transition:

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from ember_ros.errors import PushError, TableError
+from ember_ros.errors import TableError, UpdateError
 from ember_ros.loop import Loop
 from ember_ros.params import Params, cells_sha256, params_sha256, replace
 from ember_ros.params_file import dump_params, load_params
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import load_record
+from ember_ros.report.run_statistics import load_record
+from ember_ros.run_config import RunConfig
 from leg_node.assembly import empty_table
 from leg_node.table_file import load_table, save_table
 from support.robot import PATIENCE_S
@@ -47,13 +47,13 @@ def outside(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(OUTSIDE))
 
 
-def plan(changes: dict[str, Any], **rest: Any) -> Plan:
+def config(changes: dict[str, Any], **rest: Any) -> RunConfig:
     """Return a walk that explores and syncs within its cycles, and not with its end."""
     numbers = {"walk.epsilon_start": 0.3, "walk.epsilon_end": 0.1, "walk.sync_every": 20}
-    return Plan("walker", CYCLES, seed=5, params=replace(Params(), numbers | changes), **rest)
+    return RunConfig("walker", CYCLES, seed=5, params=replace(Params(), numbers | changes), **rest)
 
 
-def three_ways(ros: Ros, out: Path, each: Plan) -> list[Bits]:
+def three_ways(ros: Ros, out: Path, each: RunConfig) -> list[Bits]:
     """Return the bits of a plan by loop, graph and processes."""
     from ember_ros.graph import Graph, processes
 
@@ -78,16 +78,16 @@ def test_a_part_of_ones_own_ends_with_the_same_bits_everywhere(
     ros: Ros, tmp_path: Path, name: str
 ) -> None:
     """Named in the parameters, it is used by all three, and it changes what comes out."""
-    bits = three_ways(ros, tmp_path, plan(SWAPPED[name]))
+    bits = three_ways(ros, tmp_path, config(SWAPPED[name]))
     assert bits[0] == bits[1] == bits[2]
-    assert bits[0] != by_loop(plan({}))
+    assert bits[0] != by_loop(config({}))
 
 
 @pytest.mark.ros
 @pytest.mark.slow
 def test_a_world_and_a_policy_of_ones_own_end_with_the_same_bits(ros: Ros, tmp_path: Path) -> None:
     """Both are named by the run, not by the robot."""
-    each = Plan("mine.World", CYCLES, seed=5, policy="mine.Policy")
+    each = RunConfig("mine.World", CYCLES, seed=5, policy="mine.Policy")
     assert (each.stage, each.legs) == ("train", ("front_left", "front_right"))
     bits = three_ways(ros, tmp_path, each)
     assert bits[0] == bits[1] == bits[2]
@@ -98,13 +98,13 @@ def test_a_world_and_a_policy_of_ones_own_end_with_the_same_bits(ros: Ros, tmp_p
 @pytest.mark.slow
 def test_a_hexapod_walks_with_the_same_bits_everywhere(ros: Ros, tmp_path: Path) -> None:
     """Six legs, three segments, from a parameter file; the legs know what one leg was taught."""
-    trained = Loop(Plan("trainer", 60, params=load_params("hexapod")))
+    trained = Loop(RunConfig("trainer", 60, params=load_params("hexapod")))
     for _ in range(60 * 32):
         trained.tick()
     save_table(tmp_path / "leg.npz", trained.finish(), Params(), 0)
     trained.close()
     hexapod = load_params("hexapod", settings=["walk.epsilon_start=0.2", "walk.epsilon_end=0.2"])
-    each = Plan("walker", CYCLES, seed=2, params=hexapod, table=tmp_path / "leg.npz")
+    each = RunConfig("walker", CYCLES, seed=2, params=hexapod, table=tmp_path / "leg.npz")
     assert len(each.legs) == 6
     bits = three_ways(ros, tmp_path / "out", each)
     assert bits[0] == bits[1] == bits[2]
@@ -119,11 +119,11 @@ def test_a_table_of_another_meaning_is_refused(tmp_path: Path, name: str) -> Non
         load_table(tmp_path / "mine.npz", default)
     load_table(tmp_path / "mine.npz", mine)
     assert cells_sha256(mine) != cells_sha256(default)
-    from leg_node.shared import Push, SharedTable
+    from leg_node.shared import SharedTable, UpdateBatch
 
     shared = SharedTable(empty_table(mine), legs=4, cells=cells_sha256(mine), rate=mine.walk.rate)
-    with pytest.raises(PushError, match="learnt with other parameters"):
-        shared.push(Push(0, "run", 0, cells_sha256(default), ()))
+    with pytest.raises(UpdateError, match="learnt with other parameters"):
+        shared.push(UpdateBatch(0, "run", 0, cells_sha256(default), ()))
 
 
 def test_an_oscillator_is_no_matter_of_the_table(tmp_path: Path) -> None:
@@ -142,10 +142,10 @@ def test_what_is_named_is_in_a_parameter_file(tmp_path: Path) -> None:
 
 def test_a_reward_of_ones_own_is_what_is_recorded() -> None:
     """Its terms are in the transitions, and in the summary, under their own names."""
-    from ember_ros.report.recorder import Recorder
+    from ember_ros.report.run_statistics import RunStatistics
 
-    each = plan(SWAPPED["reward"])
-    loop, recorder = Loop(each), Recorder(each.params, each.legs)
+    each = config(SWAPPED["reward"])
+    loop, recorder = Loop(each), RunStatistics(each.params, each.legs)
     for _ in range(64):
         loop.tick(recorder)
     recorder.finish(loop.world.observe(), loop.world.body())
@@ -156,10 +156,10 @@ def test_a_reward_of_ones_own_is_what_is_recorded() -> None:
 
 def test_a_varying_period_is_counted_by_the_phase() -> None:
     """A line a cycle of the oscillator, however many ticks it takes."""
-    from ember_ros.report.recorder import Recorder
+    from ember_ros.report.run_statistics import RunStatistics
 
-    each = plan(SWAPPED["cpg of a varying period"])
-    loop, recorder = Loop(each), Recorder(each.params, each.legs)
+    each = config(SWAPPED["cpg of a varying period"])
+    loop, recorder = Loop(each), RunStatistics(each.params, each.legs)
     phases = []
     for _ in range(CYCLES * 32):
         loop.tick(recorder)

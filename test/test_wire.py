@@ -21,12 +21,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from ember_ros import wire
-from ember_ros.errors import PushError, SignalError
+from ember_ros.errors import SignalError, UpdateError
 from ember_ros.params import TRAINER_LEG, Params, cells_sha256
-from ember_ros.signals import Beat, LegCommand, LegSense, Pair, Transition
+from ember_ros.signals import Beat, LegCommand, LegSense, TDUpdate, Transition
 from leg_node import calls
 from leg_node.assembly import empty_table
-from leg_node.shared import Changes, Push, SharedTable
+from leg_node.shared import Changes, SharedTable, UpdateBatch
 from leg_node.table import Table
 from support.legs import LEGS
 
@@ -55,12 +55,12 @@ transitions = st.builds(
 )
 int64 = st.integers(-(2**63), 2**63 - 1)
 pushes = st.builds(
-    Push,
+    UpdateBatch,
     int64,
     st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40),
     int64,
     st.text("0123456789abcdef", max_size=64),
-    st.lists(st.builds(Pair, int64, int64, numbers), max_size=40).map(tuple),
+    st.lists(st.builds(TDUpdate, int64, int64, numbers), max_size=40).map(tuple),
 )
 
 EXTREME = LegSense(7, -0.0, TINY, -TINY, 1.7e308, -1.7e308, 2.2e-308, 1 / 3, 0.0, True, False, True)
@@ -516,12 +516,14 @@ def test_a_message_cut_short_is_refused(sense: LegSense, data: st.DataObject) ->
 
 
 @given(pushes)
-def test_a_push_survives_bit_for_bit(push: Push) -> None:
+def test_a_push_survives_bit_for_bit(push: UpdateBatch) -> None:
     """A push comes out of its request with every bit it went in with."""
     assert exactly(calls.read_push(calls.write_push(push))) == exactly(push)
 
 
-GOOD = Push(2, "a run", 5, cells_sha256(Params()), (Pair(160, 3, -0.0), Pair(161, 4, 1 / 3)))
+GOOD = UpdateBatch(
+    2, "a run", 5, cells_sha256(Params()), (TDUpdate(160, 3, -0.0), TDUpdate(161, 4, 1 / 3))
+)
 
 
 def of(request: SetParametersAtomically.Request, name: str) -> ParameterValue:
@@ -535,18 +537,18 @@ def test_a_push_with_a_field_missing_twice_or_of_another_type_is_refused(name: s
     """Each field must be there once and have its own type; the error names it."""
     request = calls.write_push(GOOD)
     request.parameters = [p for p in request.parameters if p.name != name]
-    with pytest.raises(PushError, match=f"^push: {name} missing"):
+    with pytest.raises(UpdateError, match=f"^push: {name} missing"):
         calls.read_push(request)
     request = calls.write_push(GOOD)
     request.parameters.append(Parameter(name=name, value=of(request, name)))
-    with pytest.raises(PushError, match=f"^push: field '{name}' is unknown or twice"):
+    with pytest.raises(UpdateError, match=f"^push: field '{name}' is unknown or twice"):
         calls.read_push(request)
     for kind in range(12):
         request = calls.write_push(GOOD)
         value = of(request, name)
         if kind != value.type:
             value.type = kind
-            with pytest.raises(PushError, match=f"^push: {name} has parameter type {kind}"):
+            with pytest.raises(UpdateError, match=f"^push: {name} has parameter type {kind}"):
                 calls.read_push(request)
 
 
@@ -555,7 +557,7 @@ def test_a_push_with_an_unknown_field_is_refused() -> None:
     request = calls.write_push(GOOD)
     value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
     request.parameters.append(Parameter(name="trust_me", value=value))
-    with pytest.raises(PushError, match=r"'trust_me' is unknown .*leg, run, epoch"):
+    with pytest.raises(UpdateError, match=r"'trust_me' is unknown .*leg, run, epoch"):
         calls.read_push(request)
 
 
@@ -568,13 +570,13 @@ def test_a_push_of_unequal_lengths_is_refused(name: str) -> None:
         value.double_array_value = array("d", [0.0])
     else:
         value.integer_array_value = array("q", [1, 2, 3])
-    with pytest.raises(PushError, match=r"^push: tick, cell and target have"):
+    with pytest.raises(UpdateError, match=r"^push: tick, cell and target have"):
         calls.read_push(request)
 
 
 def test_an_empty_push_is_no_push() -> None:
     """A request without fields names all that are missing."""
-    with pytest.raises(PushError, match="leg, run, epoch, cells_sha256, tick, cell, target miss"):
+    with pytest.raises(UpdateError, match="leg, run, epoch, cells_sha256, tick, cell, target miss"):
         calls.read_push(SetParametersAtomically.Request())
 
 
@@ -587,21 +589,21 @@ def test_an_empty_push_is_no_push() -> None:
         (GOOD._replace(leg=4), "leg 4"),
         (GOOD._replace(epoch=-1), "epoch -1"),
         (GOOD._replace(run=""), "run ''"),
-        (GOOD._replace(pairs=(Pair(1, -1, 0.0),)), "cell -1 is not in"),
-        (GOOD._replace(pairs=(Pair(1, 10**9, 0.0),)), "cell 1000000000 is not in"),
-        (GOOD._replace(pairs=(Pair(1, 1, math.nan),)), "target of cell 1 at tick 1 is nan"),
-        (GOOD._replace(pairs=(Pair(1, 1, -math.inf),)), "target of cell 1 at tick 1 is -inf"),
-        (GOOD._replace(pairs=(Pair(-1, 1, 0.0),)), "tick -1"),
-        (GOOD._replace(pairs=(*GOOD.pairs, Pair(1, 2, math.nan))), "target of cell 2"),
+        (GOOD._replace(updates=(TDUpdate(1, -1, 0.0),)), "cell -1 is not in"),
+        (GOOD._replace(updates=(TDUpdate(1, 10**9, 0.0),)), "cell 1000000000 is not in"),
+        (GOOD._replace(updates=(TDUpdate(1, 1, math.nan),)), "target of cell 1 at tick 1 is nan"),
+        (GOOD._replace(updates=(TDUpdate(1, 1, -math.inf),)), "target of cell 1 at tick 1 is -inf"),
+        (GOOD._replace(updates=(TDUpdate(-1, 1, 0.0),)), "tick -1"),
+        (GOOD._replace(updates=(*GOOD.updates, TDUpdate(1, 2, math.nan))), "target of cell 2"),
     ],
 )
-def test_a_push_that_says_nonsense_is_refused_whole(bad: Push, names: str) -> None:
+def test_a_push_that_says_nonsense_is_refused_whole(bad: UpdateBatch, names: str) -> None:
     """Values that fit their types and mean nothing are refused; nothing of the push is taken."""
     params = Params()
     table = empty_table(params)
     shared = SharedTable(table, legs=4, cells=cells_sha256(params), rate=Params().walk.rate)
     before = table.sha256()
-    with pytest.raises(PushError, match=names):
+    with pytest.raises(UpdateError, match=names):
         shared.push(calls.read_push(calls.write_push(bad)))
     shared.merge()
     assert (table.sha256(), shared.version) == (before, 0)
@@ -660,20 +662,20 @@ def test_a_pull_of_the_whole_table_is_the_table() -> None:
 )
 def test_a_pull_of_something_unknown_is_refused(name: str) -> None:
     """The error names what was asked and what may be asked."""
-    with pytest.raises(PushError, match=rf"^pull: '{name}' is unknown; .*values, visits, about"):
+    with pytest.raises(UpdateError, match=rf"^pull: '{name}' is unknown; .*values, visits, about"):
         calls.read_pull(GetParameters.Request(names=["version", name]))
 
 
 @pytest.mark.parametrize("name", [f"since={2**63}", f"upto={2**63}", f"since=-{2**63 + 1}"])
 def test_a_pull_with_a_bound_that_is_no_64_bit_integer_is_refused(name: str) -> None:
     """A bound that no version or epoch can have is refused, not passed on to raise elsewhere."""
-    with pytest.raises(PushError, match=r"^pull: "):
+    with pytest.raises(UpdateError, match=r"^pull: "):
         calls.read_pull(GetParameters.Request(names=[name, "version"]))
 
 
 def test_an_empty_answer_to_a_pull_is_a_refusal() -> None:
     """A leg that is answered nothing says so, and takes nothing."""
-    with pytest.raises(PushError, match="refused"):
+    with pytest.raises(UpdateError, match="refused"):
         calls.read_changes(GetParameters.Response())
 
 

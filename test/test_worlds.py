@@ -15,15 +15,15 @@ from ember_ros import kinematics
 from ember_ros.loop import Loop
 from ember_ros.params import TRAINER_LEG, Params, replace
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import BodyState, LegCommand, LegSense
 from ember_ros.worlds import World, make_world
 from sim_node.contract import check_world
 from sim_node.contract import drive as at_random
 from sim_node.fake import FakeWorld
+from support.configs import changed
 from support.legs import LEGS, beat
 from support.needs import needs_bullet
-from support.plans import changed
 
 PARAMS = Params()
 HEXAPOD = load_params("hexapod")
@@ -163,7 +163,7 @@ def test_every_sense_senses(make: Make, kind: str) -> None:
     for place in range(len(said[0][0])):
         for name in LegSense._fields:
             seen = {getattr(senses[place], name) for senses, _ in said}
-            assert len(seen) > 1 or name == "restart", f"{name} is always {seen}"
+            assert len(seen) > 1 or name == "first_tick", f"{name} is always {seen}"
 
 
 @every_world
@@ -173,7 +173,7 @@ def test_senses_agree_with_each_other(make: Make, kind: str) -> None:
         for sense in senses:
             assert (sense.force_mean > 0.0) == (sense.force_peak > 0.0)
             assert abs(sense.inclination) <= math.pi or kind == "fake"
-            if sense.contact and not sense.restart:
+            if sense.contact and not sense.first_tick:
                 assert sense.force_mean > 0.0
             assert -OVERSHOOT <= sense.knee <= LEG.knee_max + OVERSHOOT
 
@@ -319,7 +319,7 @@ def test_standing_feet_bear_the_weight(make: Make) -> None:
 @needs_bullet
 def test_walking_feet_bear_the_weight() -> None:
     """Over cycles of walking the mean force is the weight: nothing is missed between ticks."""
-    loop = Loop(Plan("walker", 12, policy="scripted"))
+    loop = Loop(RunConfig("walker", 12, policy="scripted"))
     forces = []
     for _ in range(12 * TICKS):
         loop.tick()
@@ -392,7 +392,7 @@ def test_after_a_fall_the_walker_stands_where_it_fell(make: Make) -> None:
     bodies = until_fall(world, dict.fromkeys(LEGS, (0.0, 28.0)))
     fallen, body = bodies[-2], bodies[-1]
     for old, new in zip(fresh, world.observe(), strict=True):
-        assert new.restart
+        assert new.first_tick
         assert new.tick == len(bodies) - 1
         assert new.hip == old.hip
         assert new.knee == old.knee
@@ -402,7 +402,7 @@ def test_after_a_fall_the_walker_stands_where_it_fell(make: Make) -> None:
     assert math.hypot(body.x - fallen.x, body.y - fallen.y) < 0.02
     (after,) = drive(world, range(len(bodies) - 1, len(bodies)), {})
     assert [sense.tick for sense in after] == [len(bodies)] * 4
-    assert not any(sense.restart for sense in after)
+    assert not any(sense.first_tick for sense in after)
     assert world.body().falls == 1
 
 
@@ -511,13 +511,13 @@ def test_the_trainer_never_falls(make: Make) -> None:
     """It is stable from the outset, whatever the leg does: no falls, no tilt, no restart."""
     for senses, body in at_random(make("trainer"), PARAMS, 300):
         assert (body.falls, body.roll, body.pitch, body.y) == (0, 0.0, 0.0, 0.0)
-        assert not senses[0].restart
+        assert not senses[0].first_tick
 
 
 @needs_bullet
 def test_the_trainer_goes_forward() -> None:
     """A leg that walks carries its bar around, and x counts the way along the circle."""
-    loop = Loop(Plan("trainer", 10, policy="scripted"))
+    loop = Loop(RunConfig("trainer", 10, policy="scripted"))
     for _ in range(10 * TICKS):
         loop.tick()
     assert loop.world.body().x > 0.5
@@ -559,7 +559,7 @@ def test_the_fake_falls_when_it_is_told() -> None:
     marked = [
         senses[0].tick
         for senses in drive(world, range(9), dict.fromkeys(LEGS, (2.0, 3.0)))
-        if senses[0].restart
+        if senses[0].first_tick
     ]
     assert marked == [5]
     assert world.body().falls == 1
@@ -570,7 +570,7 @@ def test_the_fake_falls_when_it_is_told() -> None:
 
 def test_the_script_walks_in_the_fake() -> None:
     """A written knee is on the ground in stance and off it in swing: the senses respond rightly."""
-    loop = Loop(Plan("walker", 4, policy="scripted"), FakeWorld(LEGS))
+    loop = Loop(RunConfig("walker", 4, policy="scripted"), FakeWorld(LEGS))
     for _ in range(2 * TICKS):
         loop.tick()
     for _ in range(2 * TICKS):

@@ -15,8 +15,8 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool
 
 from ember_ros import topics
-from ember_ros.bag.reading import Bag, Raw
-from ember_ros.bag.recording import absolute
+from ember_ros.bag.reader import Bag, Raw
+from ember_ros.bag.run_writer import absolute
 from ember_ros.errors import BagError
 from ember_ros.seat import Seat, TakenError
 

@@ -18,11 +18,11 @@ from typing import Any
 from rclpy.node import Node
 
 from ember_ros import topics, wire
-from ember_ros.bag.inquiry import Inquiry
-from ember_ros.bag.recording import Recording, Told, absolute
-from ember_ros.bag.scribe import Scribe
+from ember_ros.bag.metadata_client import MetadataClient
+from ember_ros.bag.run_writer import RunWriter, TickMessages, absolute
 from ember_ros.bag.storage import BagOptions, size_of
 from ember_ros.bag.window import Window
+from ember_ros.bag.writer_process import WriterProcess
 from ember_ros.errors import BagError, ParameterError, SignalError
 from ember_ros.params import Params
 from ember_ros.ros_params import declare_options, declare_params
@@ -41,17 +41,17 @@ HELD = 10_000
 class _Ear:
     """One robot, heard."""
 
-    def __init__(self, node: Node, writer: Scribe, namespace: str) -> None:
+    def __init__(self, node: Node, writer: WriterProcess, namespace: str) -> None:
         self.namespace = namespace
         self.anew = False
         """Whether time began anew: the run that is recorded is over."""
         self.missing = 0
         """Messages that ticks were written without."""
-        self.recording: Recording | None = None
+        self.recording: RunWriter | None = None
         self.last = -1
         self.fallen = 0
         self._node, self._writer = node, writer
-        self._inquiry = Inquiry(node, namespace)
+        self._inquiry = MetadataClient(node, namespace)
         self._heard: list[tuple[str, bytes]] = []  # before it is known what determines the run
         self._since: float | None = None
         self._told_by: int | None = None  # how many messages were heard when the table answered
@@ -149,14 +149,14 @@ class _Ear:
             return
         before = [tick for tick in ticks[: self._told_by or 0] if tick is not None]
         told_at = max(before, default=-1)
-        card, table, wrong = self._inquiry.card(world, first)
-        numbers = numbers_of(card.params, stage_of(world))
+        run_metadata, table, wrong = self._inquiry.run_metadata(world, first)
+        numbers = numbers_of(run_metadata.params, stage_of(world))
         if table is not None and told_at + 1 >= numbers.sync_every:
             wrong.append("the table was asked for when legs had already learnt into it")
-            card, table = card.without_table(), None
+            run_metadata, table = run_metadata.without_table(), None
         for why in wrong:
             self._node.get_logger().warning(f"the bag cannot be replayed: {why}")
-        self.recording = Recording(self._writer, card, table, namespace=self.namespace)
+        self.recording = RunWriter(self._writer, run_metadata, table, namespace=self.namespace)
         # Topic by topic is how a first turn hears what was waiting: put back in the order of ticks.
         order = sorted(range(len(heard)), key=lambda n: -1 if ticks[n] is None else ticks[n] or 0)
         for n in order:
@@ -246,7 +246,7 @@ class _Ear:
         self.last = tick
         self.recording.put(
             tick,
-            Told(
+            TickMessages(
                 found.get(topics.CLOCK.name),
                 falls,
                 found.get(topics.ODOMETRY.name),
@@ -305,7 +305,7 @@ class RecorderNode(Node):  # type: ignore[misc]
             raise ParameterError("give the folder of a new bag: --ros-args -p bag:=DIR")
         self._folder = Path(options["bag"])
         given = (options[name] for name in BagOptions._fields[1:])
-        self._writer = Scribe(BagOptions(self._folder, *given))
+        self._writer = WriterProcess(BagOptions(self._folder, *given))
         self._writer.flush()  # returns when it is ready to write: what comes now is not held up
         self._all = options["all_robots"]
         self._ears: dict[str, _Ear] = {}

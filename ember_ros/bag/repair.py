@@ -39,8 +39,8 @@ from ember_ros.bag.storage import (
     QOS,
     STORAGES,
     BagOptions,
-    BagWriter,
     Definition,
+    McapWriter,
     definition,
     lock,
     read_metadata,
@@ -90,7 +90,7 @@ class _Sum:
 class _Copy:
     """A bag that is written from what is whole in another."""
 
-    def __init__(self, writer: BagWriter, qos: dict[Key, Sequence[Any]]) -> None:
+    def __init__(self, writer: McapWriter, qos: dict[Key, Sequence[Any]]) -> None:
         self.writer, self._qos = writer, qos
         self.chunks = self.damaged = self.torn = 0
         self.first: int | None = None
@@ -145,7 +145,7 @@ def repair(folder: Path, *, drop: bool = False) -> Repaired:
                 f"{original} is there already: what an earlier repair kept; move it away"
             )
         shutil.rmtree(draft, ignore_errors=True)
-        copy = _Copy(BagWriter(BagOptions(draft / place.name)), _qos_of(folder))
+        copy = _Copy(McapWriter(BagOptions(draft / place.name)), _qos_of(folder))
         for n, file in enumerate(_plain(files, draft)):
             if n:
                 copy.writer.begin_file()

@@ -211,7 +211,7 @@ def size_of(folder: Path) -> int:
     return size
 
 
-class BagWriter:
+class McapWriter:
     """Writes a bag: messages in, files out."""
 
     def __init__(self, options: BagOptions, *, made: bool = False) -> None:

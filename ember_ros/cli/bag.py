@@ -10,8 +10,8 @@ from typing import Any
 
 import click
 
-from ember_ros.bag import look
-from ember_ros.bag.reading import Bag
+from ember_ros.bag import inspection
+from ember_ros.bag.reader import Bag
 from ember_ros.bag.repair import repair
 from ember_ros.cli import options
 from ember_ros.cli.codes import DIFFERENT
@@ -32,14 +32,14 @@ def bag_command() -> None:
 def _info(bag: Path, namespace: str | None, cycles: bool, as_json: bool) -> None:
     """Tell what is inside: run, cycles, falls, gaps, damage, provenance."""
     with Bag(bag, namespace=namespace) as opened:
-        found, rows = look.info(opened)
+        found, rows = inspection.info(opened)
     if as_json:
         found["rows"] = [row._asdict() for row in rows]
         click.echo(json.dumps(found, indent=2))
     else:
-        console.print(grid(look.told(found)))
-        heads = ("cycle" if cycles else "cycles", *look.CYCLE_HEADS)
-        lines = look.cycles_told(rows, whole=cycles)
+        console.print(grid(inspection.told(found)))
+        heads = ("cycle" if cycles else "cycles", *inspection.CYCLE_HEADS)
+        lines = inspection.cycles_told(rows, whole=cycles)
         console.print(grid(lines, "rl" + "r" * 6, heads, whole=True))
     if found["damaged"]:
         sys.exit(DIFFERENT)
@@ -52,10 +52,10 @@ def _info(bag: Path, namespace: str | None, cycles: bool, as_json: bool) -> None
 def _csv(bag: Path, namespace: str | None, out: Path) -> None:
     """Write a line a tick and leg, and a line a cycle and leg, for pandas."""
     with Bag(bag, namespace=namespace) as opened:
-        files = look.write_csv(opened, out)
+        files = inspection.write_csv(opened, out)
     console.print(f"In {out}: {', '.join(file.name for file in files)}")
     for damage in opened.damages:
-        console.print(f"damaged: {look.damage_told(damage.tick, damage.leg)}")
+        console.print(f"damaged: {inspection.damage_told(damage.tick, damage.leg)}")
     if opened.damages:
         sys.exit(DIFFERENT)
 

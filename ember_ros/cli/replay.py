@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from ember_ros.bag.reading import Bag
+from ember_ros.bag.reader import Bag
 from ember_ros.cli import options
 from ember_ros.cli.codes import DIFFERENT, INTERRUPTED
 from ember_ros.cli.keys import space

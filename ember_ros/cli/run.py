@@ -14,7 +14,6 @@ from ember_ros.cli import options
 from ember_ros.cli.codes import INTERRUPTED
 from ember_ros.errors import ParameterError, need
 from ember_ros.params_file import changed, load_params
-from ember_ros.plan import Plan
 from ember_ros.report import figures
 from ember_ros.report.summary import beside
 from ember_ros.resume import beginning, resumed
@@ -28,6 +27,7 @@ from ember_ros.run import (
     refuse_to_replace,
     run,
 )
+from ember_ros.run_config import RunConfig
 from ember_ros.spinning import Stop, prepare_environment, stop_signals
 from ember_ros.terminal import console, grid, progress, typed
 
@@ -122,7 +122,7 @@ def _run(
         recover(resume)
         start_cycle, was = resumed(resume, world)
         params = params if params_files else changed(was, settings)
-    plan = Plan(
+    config = RunConfig(
         world,
         cycles,
         seed=seed,
@@ -136,11 +136,11 @@ def _run(
         raise ParameterError("--split-mb and --split-s are of a bag: give --bag too")
     if not force:
         refuse_to_replace(out)
-    for line in beginning(plan):
+    for line in beginning(config):
         console.print(line)
     with stop_signals() as stop:
         into = BagOptions(bag, split_mb, split_s) if bag else None
-        record, summary = _show(plan, way, out, stop, into, namespace, replace=force)
+        record, summary = _show(config, way, out, stop, into, namespace, replace=force)
         what = "trained" if world == "trainer" else "walked"
         drawn = figures.draw(out / PICTURE, ticks=params.gait.ticks, **{what: record})
     _print({what: summary})
@@ -182,8 +182,10 @@ def demo_command(
     need_ros()  # say it now, and not when the leg is trained
     prepare_environment()
     params = load_params(*params_files, settings=settings)
-    training = Plan("trainer", cycles, seed=seed, params=params)
-    walking = Plan("walker", walk_cycles, seed=seed, params=params, table=out / "train" / TABLE)
+    training = RunConfig("trainer", cycles, seed=seed, params=params)
+    walking = RunConfig(
+        "walker", walk_cycles, seed=seed, params=params, table=out / "train" / TABLE
+    )
     with stop_signals() as stop:
         trained, first = _show(training, "loop", out / "train", stop, replace=force)
         (out / "demo.png").unlink(missing_ok=True)  # it shows another training
@@ -204,7 +206,7 @@ def demo_command(
 
 
 def _show(
-    plan: Plan,
+    config: RunConfig,
     way: str,
     out: Path,
     stop: Stop,
@@ -215,14 +217,14 @@ def _show(
 ) -> tuple[Any, dict[str, Any]]:
     """Run a plan behind a progress bar."""
     need("matplotlib", why="to draw what comes of it")
-    label = "walking" if plan.world == "walker" else "training"
-    with progress(f"{label} ({way})", plan.cycles) as update:
+    label = "walking" if config.world == "walker" else "training"
+    with progress(f"{label} ({way})", config.cycles) as update:
 
         def go_on(done: int, falls: int) -> bool:
-            update(done, f"{done}/{plan.cycles} cycles, {falls} falls")
+            update(done, f"{done}/{config.cycles} cycles, {falls} falls")
             return not stop.asked
 
-        record, summary = run(plan, way, out, go_on, typed(), bag, namespace, replace)
+        record, summary = run(config, way, out, go_on, typed(), bag, namespace, replace)
         go_on(summary["cycles"], summary["falls"])
     return record, summary
 

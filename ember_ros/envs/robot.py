@@ -132,7 +132,7 @@ class SteppedRobot:
     @property
     def fell(self) -> bool:
         """Return whether the robot was put back on its feet just now."""
-        return any(seen.sense.restart for seen in self.seen)
+        return any(seen.sense.first_tick for seen in self.seen)
 
     @property
     def terminated(self) -> bool:
@@ -151,7 +151,7 @@ class SteppedRobot:
             n: position of the leg.
         """
         seen = self.seen[n]
-        return {"terms": dict(seen.transition.terms), "restart": seen.sense.restart}
+        return {"terms": dict(seen.transition.terms), "first_tick": seen.sense.first_tick}
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture, ``(HEIGHT, WIDTH, 3)``; None where a window shows the robot, or nobody.

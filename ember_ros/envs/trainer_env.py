@@ -13,7 +13,7 @@ from ember_ros.envs.observation import make_observation
 from ember_ros.envs.robot import SteppedRobot, metadata_of
 from ember_ros.errors import ParameterError
 from ember_ros.params import Params
-from ember_ros.plan import MOST
+from ember_ros.run_config import MOST
 from ember_ros.signals import BodyState
 
 
@@ -37,7 +37,7 @@ class TrainerEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
 
     ## Episode
     Begins at tick 0 and is truncated after ``max_cycles`` cycles of the CPG. A fall is told in
-    ``info["restart"]``: the robot was put back on its feet, this tick's reward is 0, and nothing
+    ``info["first_tick"]``: the robot was put back on its feet, this tick's reward is 0, and nothing
     should be learnt across it; it goes on, as in the paper, unless ``terminate_on_fall``. The
     trainer's leg cannot fall.
 

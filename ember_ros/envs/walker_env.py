@@ -15,10 +15,10 @@ from ember_ros.envs.observation import make_observation
 from ember_ros.envs.robot import SteppedRobot, metadata_of
 from ember_ros.errors import ParameterError, shown
 from ember_ros.params import Params
-from ember_ros.plan import MOST
+from ember_ros.run_config import MOST
 from ember_ros.signals import BodyState
 
-Told = dict[str, Any]
+PerAgent = dict[str, Any]
 """By agent."""
 
 
@@ -31,9 +31,9 @@ class WalkerEnv(ParallelEnv):  # type: ignore[misc]
     the body alone.
 
     Begins at tick 0 and is truncated after ``max_cycles`` cycles of the CPG, for all agents at
-    once. A fall is told in ``infos[agent]["restart"]``: the robot was put back on its feet where it
-    fell, this tick's reward is 0, and nothing should be learnt across it; it goes on, as in the
-    paper, unless ``terminate_on_fall``.
+    once. After a fall ``infos[agent]["first_tick"]`` is True: the robot was put back on its feet
+    where it fell, this tick's reward is 0, and nothing should be learnt across it; it goes on, as
+    in the paper, unless ``terminate_on_fall``.
 
     ``reset(seed=S)`` begins the run that ``ember walk --seed S`` begins; without a seed the next
     one is drawn from the last. Nothing in the walker hangs on the seed, a world of your own may.
@@ -99,7 +99,7 @@ class WalkerEnv(ParallelEnv):  # type: ignore[misc]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Told, Told]:
+    ) -> tuple[PerAgent, PerAgent]:
         """Begin at tick 0; there are no options.
 
         Returns:
@@ -111,7 +111,9 @@ class WalkerEnv(ParallelEnv):  # type: ignore[misc]
         self.agents = list(self.possible_agents)
         return self._observe(), self._infos()
 
-    def step(self, actions: Mapping[str, Any]) -> tuple[Told, Told, Told, Told, Told]:
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[PerAgent, PerAgent, PerAgent, PerAgent, PerAgent]:
         """Run one tick with an action of every agent.
 
         Returns:
@@ -144,10 +146,10 @@ class WalkerEnv(ParallelEnv):  # type: ignore[misc]
     def _each(self, values: Any) -> Any:
         return zip(self.possible_agents, values, strict=True)
 
-    def _observe(self) -> Told:
+    def _observe(self) -> PerAgent:
         return {leg: self._observations[leg].of(seen) for leg, seen in self._each(self._robot.seen)}
 
-    def _infos(self) -> Told:
+    def _infos(self) -> PerAgent:
         return {leg: self._robot.info(n) for n, leg in enumerate(self.possible_agents)}
 
     def render(self) -> NDArray[np.uint8] | None:

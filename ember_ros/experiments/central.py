@@ -13,8 +13,8 @@ import numpy as np
 from ember_ros.loop import Loop
 from ember_ros.observer import Observer
 from ember_ros.params import Params
-from ember_ros.plan import Plan
 from ember_ros.randomness import WORLD, generator
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import LegSense
 from leg_node.assembly import make_leg, numbers_of
 from leg_node.gait import GaitStep
@@ -38,20 +38,20 @@ class _Told:
 class CentralLoop(Loop):
     """The loop, with one learner that tells all legs what to do."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, config: RunConfig) -> None:
         """Build the robot of a plan; its table is not used."""
-        super().__init__(plan)
-        params: Params = plan.params
-        numbers = numbers_of(params, plan.stage)
+        super().__init__(config)
+        params: Params = config.params
+        numbers = numbers_of(params, config.stage)
         self._numbers, self._ticks = numbers, params.gait.ticks
         self._speeds = len(params.leg.knee_speeds)
-        self._rng = generator(plan.seed, DRAWER)
-        count = len(plan.legs)
+        self._rng = generator(config.seed, DRAWER)
+        count = len(config.legs)
         self.joint = Table(self._ticks * 2**count, self._speeds**count)
-        self._told = [_Told() for _ in plan.legs]
+        self._told = [_Told() for _ in config.legs]
         self.legs = [
-            make_leg(params, leg, stage=plan.stage, policy=told, learning=False)
-            for leg, told in zip(plan.legs, self._told, strict=True)
+            make_leg(params, leg, stage=config.stage, policy=told, learning=False)
+            for leg, told in zip(config.legs, self._told, strict=True)
         ]
         self._before: tuple[int, int] | None = None
 

@@ -19,9 +19,9 @@ from ember_ros.experiments.trial import TABLE, code_sha256
 from ember_ros.experiments.words import Found, grid
 from ember_ros.loop import Loop
 from ember_ros.params import Params
-from ember_ros.plan import Plan
 from ember_ros.report.figures import AMBER, BLUE, INK, canvas, save
-from ember_ros.report.recorder import Recorder
+from ember_ros.report.run_statistics import RunStatistics
+from ember_ros.run_config import RunConfig
 from ember_ros.versions import versions
 
 NAME = "isotropy"
@@ -112,7 +112,7 @@ def walk(
         def _heading(self) -> float:
             return 0.0
 
-    plan = Plan(
+    config = RunConfig(
         "walker",
         cycles,
         params=params,
@@ -121,9 +121,9 @@ def walk(
         table=table,
     )
     world = {"world": WorldAxes, "robot": WalkerWorld}[axes](params, heading=heading)
-    loop = Loop(plan, world)
+    loop = Loop(config, world)
     try:
-        recorder = Recorder(params, plan.legs)
+        recorder = RunStatistics(params, config.legs)
         for _ in range(cycles):
             if not go_on():
                 break

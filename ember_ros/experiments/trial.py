@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from ember_ros.experiments.central import CentralLoop
 from ember_ros.loop import Loop
 from ember_ros.params import Params, params_sha256
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import TRACE, Recorder, Row
+from ember_ros.report.run_statistics import TRACE, Row, RunStatistics
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from ember_ros.versions import versions
 from leg_node.assembly import make_discretizer
@@ -52,9 +52,13 @@ TABLE, MEASURES, CYCLES = "table.npz", "trial.json", "cycles.npz"
 COLUMNS = tuple(name for name in Row._fields if name not in ("cycle", "module"))
 DECIDES = (
     *("ember_ros.kinematics", "ember_ros.loop", "ember_ros.params"),
-    *("ember_ros.parts", "ember_ros.phase", "ember_ros.plan", "ember_ros.randomness"),
+    *("ember_ros.parts", "ember_ros.phase", "ember_ros.run_config", "ember_ros.randomness"),
     *("ember_ros.signals", "ember_ros.worlds"),
-    *("ember_ros.experiments.central", "ember_ros.experiments.trial", "ember_ros.report.recorder"),
+    *(
+        "ember_ros.experiments.central",
+        "ember_ros.experiments.trial",
+        "ember_ros.report.run_statistics",
+    ),
     *("cpg_node.cpg", "leg_node.assembly", "leg_node.discretizer", "leg_node.gait"),
     *("leg_node.learner", "leg_node.module", "leg_node.policy", "leg_node.reward"),
     "leg_node.sarsa",
@@ -232,7 +236,7 @@ def run_trial(trial: Trial, folder: Path, go_on: Callable[[], bool] = lambda: Tr
         Whether it came to its end; if not, nothing is kept.
     """
     began = time.process_time()
-    plan = Plan(
+    config = RunConfig(
         trial.world,
         trial.cycles,
         seed=trial.seed,
@@ -241,22 +245,22 @@ def run_trial(trial: Trial, folder: Path, go_on: Callable[[], bool] = lambda: Tr
         learning=trial.learning,
         table=folder / trial.start.key / TABLE if trial.start else None,
     )
-    loop = CentralLoop(plan) if trial.policy == CENTRAL else Loop(plan)
+    loop = CentralLoop(config) if trial.policy == CENTRAL else Loop(config)
     try:
-        start = load_table(plan.table, plan.params)[0] if plan.table else None
-        recorder = Recorder(plan.params, plan.legs)
-        watch = _Watch(trial, plan.legs, start)
+        start = load_table(config.table, config.params)[0] if config.table else None
+        recorder = RunStatistics(config.params, config.legs)
+        watch = _Watch(trial, config.legs, start)
         for _ in range(trial.cycles):
             if not go_on():
                 return False
-            for _ in range(plan.params.gait.ticks):
+            for _ in range(config.params.gait.ticks):
                 loop.tick(recorder, watch)
         recorder.finish(loop.world.observe(), loop.world.body())
         differ = _differ([leg.copy.table for leg in loop.legs])
         table = loop.finish()
         summary = recorder.summary()
         measures = {
-            **_measures(plan.params, recorder, loop.world.work),
+            **_measures(config.params, recorder, loop.world.work),
             "legs_differ": differ,
             "unseen_share": watch.unseen(),
             "states_visited": int((watch.visits > 0).sum()),
@@ -275,7 +279,7 @@ def _keep(
     trial: Trial,
     folder: Path,
     measures: dict[str, Any],
-    recorder: Recorder,
+    recorder: RunStatistics,
     watch: _Watch,
     table: Table,
 ) -> None:
@@ -301,7 +305,7 @@ def _keep(
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def _measures(params: Params, recorder: Recorder, work: float) -> dict[str, Any]:
+def _measures(params: Params, recorder: RunStatistics, work: float) -> dict[str, Any]:
     """Return what is told of a run."""
     rows = recorder.body_rows()
     traces = np.frombuffer(recorder.traces).reshape(-1, len(TRACE))

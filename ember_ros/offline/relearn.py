@@ -12,9 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ember_ros.bag.reading import Bag
+from ember_ros.bag.reader import Bag
 from ember_ros.errors import BagError, ParameterError
-from ember_ros.loop import act, hand_in
+from ember_ros.loop import act, flush
 from ember_ros.params import Params, as_dict, cells_sha256, replace
 from ember_ros.params_file import dump_params
 from ember_ros.signals import LegCommand, LegSense
@@ -147,7 +147,7 @@ def relearn(
                         "were recorded"
                     )
                 for leg in legs:
-                    hand_in(shared, leg, last)
+                    flush(shared, leg, last)
                 shared.merge()
                 falls += fallen
     return Relearnt(table, own, ticks, int(table.visits.sum()) - before, skipped, falls)

@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ember_ros.bag.reading import Bag, Tick
+from ember_ros.bag.reader import Bag, Tick
 from ember_ros.errors import BagError
 from ember_ros.loop import Loop
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from leg_node.table import Table
 from leg_node.table_file import save_table
@@ -40,7 +40,7 @@ class Difference(NamedTuple):
         )
 
 
-class RecordedWorld:
+class ReplayWorld:
     """A world that was: it shows what was sensed, and holds what legs answer against the record.
 
     Nothing a leg does changes what comes next. It ends where the bag does, or where a leg's senses
@@ -103,7 +103,7 @@ class RecordedWorld:
         assert tick is not None
         over = self._next is None
         return tuple(
-            sense._replace(tick=sense.tick + 1, restart=True) if over else sense
+            sense._replace(tick=sense.tick + 1, first_tick=True) if over else sense
             for sense in tick.senses
             if sense is not None
         )
@@ -248,14 +248,14 @@ def verdict(parts: Mapping[str, bool | None], *, whole: bool = True) -> str:
     return f"Verdict: {told}{means}."
 
 
-Runner = Callable[[Plan, RecordedWorld, Path, GoOn], tuple[int, Table]]
+Runner = Callable[[RunConfig, ReplayWorld, Path, GoOn], tuple[int, Table]]
 """Runs a plan in a recorded world until the record is over or it is told no. It may write into the
 folder, and returns how many ticks it ran and the table in the end."""
 
 
-def by_loop(plan: Plan, world: RecordedWorld, folder: Path, go_on: GoOn) -> tuple[int, Table]:
+def by_loop(config: RunConfig, world: ReplayWorld, folder: Path, go_on: GoOn) -> tuple[int, Table]:
     """Run a plan in a recorded world without ROS; a ``Runner``."""
-    loop = Loop(plan, world)
+    loop = Loop(config, world)
     while not world.over and go_on(loop.now):
         loop.tick(world)
     return loop.now, loop.finish()
@@ -279,30 +279,30 @@ def replay(
     Raises:
         BagError: the bag does not hold what determines the run; the message says what.
     """
-    if bag.card is None and bag.path.is_file():
+    if bag.run_metadata is None and bag.path.is_file():
         raise BagError(
             f"{bag.path} does not say what determined the run; the bag's folder would be right, "
             "of which this is one file"
         )
-    if bag.card is None:
+    if bag.run_metadata is None:
         raise BagError(
             f"{bag.path} does not say what determined the run (no {bag.namespace}/run/card): it "
             "was made by another recorder; `ember bag info`, `ember play` and `ember relearn` "
             "work with it"
         )
-    bag.card.plan(0, None)  # says in words what cannot be replayed
+    bag.run_metadata.config(0, None)  # says in words what cannot be replayed
     if bag.table is None:
         raise BagError(f"{bag.path}: the table at its start is not in the bag")
     ticks_a_cycle = bag.params.gait.ticks
-    world = RecordedWorld(bag.legs, bag.ticks(), rate / bag.params.gait.tick_s)
+    world = ReplayWorld(bag.legs, bag.ticks(), rate / bag.params.gait.tick_s)
     with tempfile.TemporaryDirectory(prefix="ember_ros_replay_") as name:
         folder = Path(name)
         start = folder / "start.npz"
         save_table(start, bag.table, bag.params, 0)
         # The world ends where the record does; there are no more cycles than phases.
-        plan = bag.card.plan(bag.phases(), start)
+        config = bag.run_metadata.config(bag.phases(), start)
         began = time.perf_counter()
-        done, table = run(plan, world, folder, go_on)
+        done, table = run(config, world, folder, go_on)
         seconds = time.perf_counter() - began
     damages = [each for each in bag.damages if each.tick < done]
     recorded_sha256 = bag.table_sha256 if world.over and not world.missing else None

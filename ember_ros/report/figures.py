@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ember_ros.report.recorder import Record, Row
+from ember_ros.report.run_statistics import Row, RunRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,7 +63,7 @@ def training(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
     axes[1].set_xlabel(f"steps (line: mean of {SMOOTH})")
 
 
-def walking(axes: Sequence[Axes], record: Record, ticks: int) -> None:
+def walking(axes: Sequence[Axes], record: RunRecord, ticks: int) -> None:
     """Draw the body's path, and its roll and pitch while it walks (paper, figure 7)."""
     traces = record.traces
     falls = record.measured["falls"]
@@ -91,7 +91,7 @@ def walking(axes: Sequence[Axes], record: Record, ticks: int) -> None:
 
 
 def picture(
-    *, trained: Record | None = None, walked: Record | None = None, ticks: int = 32
+    *, trained: RunRecord | None = None, walked: RunRecord | None = None, ticks: int = 32
 ) -> Figure | None:
     """Return a picture of what was trained, of what was walked, or of both; None of nothing.
 
@@ -106,11 +106,11 @@ def picture(
     figure, grid = canvas(2 * len(parts))
     axes = grid[:, 0]
     for n, part in enumerate(parts):
-        pair = axes[2 * n : 2 * n + 2]
+        update = axes[2 * n : 2 * n + 2]
         if part is trained:
-            training(pair, part.body_rows())
+            training(update, part.body_rows())
         else:
-            walking(pair, part, ticks)
+            walking(update, part, ticks)
     made: Figure = figure
     return made
 
@@ -118,8 +118,8 @@ def picture(
 def draw(
     file: Path,
     *,
-    trained: Record | None = None,
-    walked: Record | None = None,
+    trained: RunRecord | None = None,
+    walked: RunRecord | None = None,
     ticks: int = 32,
 ) -> bool:
     """Write what ``picture`` returns into a file, PNG or SVG; return whether there was anything."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ember_ros.params import Learning, Params
-from ember_ros.signals import LegSense, Pair, Transition
+from ember_ros.signals import LegSense, TDUpdate, Transition
 from leg_node.gait import GaitStep
 from leg_node.policy import QValues
 from leg_node.table import Table
@@ -64,16 +64,16 @@ class DoubleQ:
         one, other = (each.q_values(tick, state) for each in self._estimates)
         return [(a + b) / 2.0 for a, b in zip(one, other, strict=True)]
 
-    def learn(self, transition: Transition) -> Iterable[Pair]:
+    def learn(self, transition: Transition) -> Iterable[TDUpdate]:
         which = int(self._rng.integers(2))
         tick, state = transition.tick, transition.next_state
         own = self._estimates[which].q_values(tick, state)
         worth = self._estimates[1 - which].q_values(tick, state)[own.index(max(own))]
         states, actions = self._shape
         cell = (which * states + transition.state) * actions + transition.action
-        return (Pair(tick, cell, transition.reward + self._gamma * worth),)
+        return (TDUpdate(tick, cell, transition.reward + self._gamma * worth),)
 
-    def reset(self) -> Iterable[Pair]:
+    def reset(self) -> Iterable[TDUpdate]:
         return ()
 
 

@@ -6,12 +6,12 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from ember_ros.bag.card import Card
-from ember_ros.bag.reading import Bag, Raw
-from ember_ros.bag.recording import Recording
-from ember_ros.bag.storage import BagOptions, BagWriter
+from ember_ros.bag.reader import Bag, Raw
+from ember_ros.bag.run_metadata import RunMetadata
+from ember_ros.bag.run_writer import RunWriter
+from ember_ros.bag.storage import BagOptions, McapWriter
 from ember_ros.loop import Loop
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.shipped import BAG, DATA
 from ember_ros.versions import versions
 from ember_ros.worlds import World
@@ -25,7 +25,7 @@ class Made(NamedTuple):
     """A run that was recorded."""
 
     bag: Path
-    plan: Plan
+    config: RunConfig
     ticks: int
     table: str
     """SHA-256 at the end."""
@@ -33,20 +33,20 @@ class Made(NamedTuple):
 
 def record(
     bag: Path,
-    plan: Plan,
+    config: RunConfig,
     *,
     falls_at: Collection[int] = (),
     world: World | None = None,
     extra: int = 0,
     namespace: str = "",
     about: Mapping[str, str] | None = None,
-    writer: BagWriter | None = None,
+    writer: McapWriter | None = None,
 ) -> Made:
     """Record a run of a plan in the loop, and some ticks more.
 
     Args:
         bag: the folder of the bag.
-        plan: what is run.
+        config: what is run.
         falls_at: ticks at which the robot falls in the fake world.
         world: another world than the fake one.
         extra: ticks after the plan's last cycle.
@@ -54,18 +54,18 @@ def record(
         about: the versions that the card tells; by default those that are installed.
         writer: an open bag to record into; its caller closes it.
     """
-    loop = Loop(plan, world or FakeWorld(plan.legs, plan.params, falls_at=falls_at))
-    into = writer or BagWriter(BagOptions(bag))
+    loop = Loop(config, world or FakeWorld(config.legs, config.params, falls_at=falls_at))
+    into = writer or McapWriter(BagOptions(bag))
     try:
-        card = Card.of_plan(plan, loop.shared.table, dict(about or versions()))
-        recording = Recording(into, card, loop.shared.table, namespace=namespace)
-        for _ in range(plan.cycles * plan.params.gait.ticks + extra):
+        run_metadata = RunMetadata.of_config(config, loop.shared.table, dict(about or versions()))
+        recording = RunWriter(into, run_metadata, loop.shared.table, namespace=namespace)
+        for _ in range(config.cycles * config.params.gait.ticks + extra):
             loop.tick(recording)
         recording.finish()
         sha = loop.finish().sha256()
         if writer is None:
             into.close({"table_sha256": sha})
-        return Made(bag, plan, recording.ticks, sha)
+        return Made(bag, config, recording.ticks, sha)
     finally:
         if writer is None:
             into.abandon()
@@ -80,7 +80,7 @@ def raws_of(bag: Path) -> list[Raw]:
 
 def write(bag: Path, raws: Iterable[Raw], table_sha256: str | None = None) -> Path:
     """Write messages as they are into a bag, sealed with the hash of a table if one is given."""
-    writer = BagWriter(BagOptions(bag))
+    writer = McapWriter(BagOptions(bag))
     try:
         for n, raw in enumerate(raws):
             writer.write(writer.channel(raw.topic, raw.kind), raw.ns, raw.data)

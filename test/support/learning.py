@@ -12,7 +12,7 @@ from leg_node.discretizer import PaperDiscretizer
 from leg_node.reward import PaperReward
 from leg_node.table import Table
 
-Seen = tuple[Beat, Sequence[LegSense | None], Sequence[LegCommand | None]]
+BagStatistics = tuple[Beat, Sequence[LegSense | None], Sequence[LegCommand | None]]
 """A tick: its beat, and the senses and commands of all legs, of which none may be missing."""
 
 
@@ -24,7 +24,7 @@ def paid(rewarder: PaperReward, sense: LegSense, stance: bool) -> float:
     return total
 
 
-def literally(runs: Iterable[Sequence[Seen]], params: Params) -> Table:
+def literally(runs: Iterable[Sequence[BagStatistics]], params: Params) -> Table:
     """Return what four legs write into one table in these runs, tick by tick and leg by leg."""
     table, learning = empty_table(params), params.walk
     partition, rewarder = PaperDiscretizer(params), PaperReward(params)
@@ -32,19 +32,19 @@ def literally(runs: Iterable[Sequence[Seen]], params: Params) -> Table:
     speeds = params.leg.knee_speeds
     for run in runs:
         for (beat, senses, commands), (next_beat, next_senses, _) in itertools.pairwise(run):
-            pairs = []
+            updates = []
             for offset, old, new, did in zip(
                 params.robot.offset, senses, next_senses, commands, strict=True
             ):
                 assert old is not None
                 assert new is not None
                 assert did is not None
-                if new.restart:
+                if new.first_tick:
                     continue
                 was, now = ((each.phase + offset) % 1.0 < share for each in (beat, next_beat))
                 cell = partition.index(old, was) * len(speeds) + speeds.index(did.knee_speed)
                 best = max(table.row(partition.index(new, now)))
-                pairs.append((cell, paid(rewarder, new, was) + learning.gamma * best))
-            for cell, target in pairs:
+                updates.append((cell, paid(rewarder, new, was) + learning.gamma * best))
+            for cell, target in updates:
                 table.update(cell, target, learning.rate)
     return table

@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter
 from cpg_node.node import CpgNode
 from ember_ros.graph import Graph, node_options
 from ember_ros.params import as_dict
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.worlds import World
 from leg_node.node import LegNode
 from leg_node.table_node import TableNode
@@ -61,27 +61,27 @@ class Robot:
     def __init__(
         self,
         ros: Ros,
-        plan: Plan,
+        config: RunConfig,
         namespace: str = "",
         *,
         without: Collection[str] = (),
         patience: float | None = None,
-        world: Callable[[Plan], World] | None = None,
+        world: Callable[[RunConfig], World] | None = None,
         **options: dict[str, Any],
     ) -> None:
         """Start all nodes but those left out, with some options changed.
 
         Args:
             ros: where they are spun.
-            plan: what they run.
+            config: what they run.
             namespace: of the robot.
             without: names of nodes that are not started now.
             patience: wall time, s, that nodes wait for others; by default their own.
             world: makes another world than the plan's.
             options: changes of a node's options, by the node's name.
         """
-        self._ros, self._plan, self.namespace, self._world = ros, plan, namespace, world
-        self._options = node_options(plan, patience=patience)
+        self._ros, self._plan, self.namespace, self._world = ros, config, namespace, world
+        self._options = node_options(config, patience=patience)
         self.nodes: dict[str, Any] = {}
         for name in self._options:
             if name not in without:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from ember_ros.loop import Loop
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import Recorder
+from ember_ros.report.run_statistics import RunStatistics
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from leg_node.table import Table
 
@@ -22,12 +22,12 @@ class Bits(NamedTuple):
     falls: int
 
 
-def recorded(plan: Plan) -> tuple[Table, Recorder]:
+def recorded(config: RunConfig) -> tuple[Table, RunStatistics]:
     """Run a plan in the loop; return what was learnt and the record."""
-    loop = Loop(plan)
+    loop = Loop(config)
     try:
-        recorder = Recorder(plan.params, plan.legs)
-        for _ in range(plan.cycles * plan.params.gait.ticks):
+        recorder = RunStatistics(config.params, config.legs)
+        for _ in range(config.cycles * config.params.gait.ticks):
             loop.tick(recorder)
         recorder.finish(loop.world.observe(), loop.world.body())
         return loop.finish(), recorder
@@ -36,9 +36,9 @@ def recorded(plan: Plan) -> tuple[Table, Recorder]:
 
 
 @functools.cache
-def by_loop(plan: Plan) -> Bits:
+def by_loop(config: RunConfig) -> Bits:
     """Run a plan in the loop, the specification, once a session."""
-    table, recorder = recorded(plan)
+    table, recorder = recorded(config)
     return bits_of(table.sha256(), recorder.summary())
 
 

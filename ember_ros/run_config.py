@@ -14,7 +14,7 @@ MOST = 2**63 - 1
 
 
 @dataclass(frozen=True)
-class Plan:
+class RunConfig:
     """A run, whole: the same plan gives the same bits whichever way it is run."""
 
     world: str

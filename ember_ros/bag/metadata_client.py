@@ -15,8 +15,8 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.task import Future
 
 from ember_ros import topics
-from ember_ros.bag.card import Card, LegCard
-from ember_ros.bag.recording import absolute
+from ember_ros.bag.run_metadata import LegMetadata, RunMetadata
+from ember_ros.bag.run_writer import absolute
 from ember_ros.errors import EmberError
 from ember_ros.params import SPECS, Params, replace
 from ember_ros.versions import versions
@@ -33,7 +33,7 @@ def _names(*groups: str) -> list[str]:
 
 
 LEG_GROUPS = ("gait", "leg", "robot", "parts", "state", "reward", "script", "train", "walk")
-OF_LEG = (*LegCard._fields, *_names(*LEG_GROUPS))
+OF_LEG = (*LegMetadata._fields, *_names(*LEG_GROUPS))
 OF_SIM = ("world", *_names("physics", "trainer", "walker", "robot"))
 OF_CPG = ("parts.cpg",)
 _NAMELESS = "_NODE_NAME_UNKNOWN_"  # what a graph says of an endpoint before it knows the node
@@ -56,7 +56,7 @@ class _Question:
         return self._future.result() if self._future.done() else None
 
 
-class Inquiry:
+class MetadataClient:
     """What the nodes of one namespace answer; ``ask`` until nobody is waited for."""
 
     def __init__(self, node: Node, namespace: str) -> None:
@@ -119,7 +119,9 @@ class Inquiry:
         world = self.world
         return () if world is None else legs_of(world, self._params({}, []))
 
-    def card(self, world: str, first_tick: int) -> tuple[Card, Table | None, list[str]]:
+    def run_metadata(
+        self, world: str, first_tick: int
+    ) -> tuple[RunMetadata, Table | None, list[str]]:
         """Return what determined the run, as far as it was answered.
 
         Args:
@@ -136,7 +138,7 @@ class Inquiry:
         if first_tick:
             wrong.append(f"recorded from tick {first_tick} on, not from the beginning")
         sha = None if table is None else table.sha256()
-        return Card(world, legs, params, sha, first_tick, versions()), table, wrong
+        return RunMetadata(world, legs, params, sha, first_tick, versions()), table, wrong
 
     def params(self, world: str) -> Params:
         """Return the numbers that the nodes of a world were told, as far as they answered."""
@@ -153,9 +155,9 @@ class Inquiry:
             wrong.append(f"parameters: {error}")
             return Params()
 
-    def _legs(self, world: str, wrong: list[str]) -> tuple[dict[str, LegCard], dict[str, Any]]:
+    def _legs(self, world: str, wrong: list[str]) -> tuple[dict[str, LegMetadata], dict[str, Any]]:
         """Return what each leg was told, and the numbers on which all agree."""
-        legs: dict[str, LegCard] = {}
+        legs: dict[str, LegMetadata] = {}
         numbers: dict[str, Any] | None = None
         for leg in legs_of(world, self._params({}, [])):
             told = self._told.get(topics.command(leg).name, {})
@@ -167,7 +169,7 @@ class Inquiry:
                 wrong.append(f"{leg} has other parameters than the legs before it")
                 continue
             numbers = own
-            legs[leg] = LegCard(*(told[name] for name in LegCard._fields))
+            legs[leg] = LegMetadata(*(told[name] for name in LegMetadata._fields))
         return legs, numbers or {}
 
     def _start_table(self, params: Params, wrong: list[str]) -> Table | None:

@@ -1,9 +1,9 @@
 """A process of its own that writes a bag, so that neither the disk nor the format costs a tick.
 
-It has the face of ``BagWriter`` and uses one. What was flushed is in its hands: it outlives whoever
-recorded, and closes the bag when that ends, in whatever way. Pure.
+It is used as a ``McapWriter`` is, and uses one. What was flushed is in its hands: it outlives
+whoever recorded, and closes the bag when that ends, in whatever way. Pure.
 
-    python -m ember_ros.bag.scribe '["DIR", 0.0, 0.0]' < records
+    python -m ember_ros.bag.writer_process '["DIR", 0.0, 0.0]' < records
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn, Protocol
 
-from ember_ros.bag.storage import BagOptions, BagWriter, make_folder
+from ember_ros.bag.storage import BagOptions, McapWriter, make_folder
 from ember_ros.children import command_of
 from ember_ros.errors import BagError, need
 from ember_ros.versions import provenance
@@ -36,8 +36,8 @@ CLOSE_S = 60.0
 """Wall time the process has to write what it was given last."""
 
 
-class Sink(Protocol):
-    """What messages are written to: a ``BagWriter``, or a ``Scribe`` that has one."""
+class BagWriter(Protocol):
+    """What messages are written to: a ``McapWriter``, or a ``WriterProcess`` that has one."""
 
     def channel(self, topic: str, kind: str) -> int:
         """Return the number under which messages of a topic are written."""
@@ -56,7 +56,7 @@ class Sink(Protocol):
         ...
 
 
-class Scribe:
+class WriterProcess:
     """Hands messages to a process that writes them."""
 
     def __init__(self, options: BagOptions) -> None:
@@ -187,7 +187,7 @@ class Scribe:
         )
 
 
-def _write(records: BinaryIO, writer: BagWriter) -> None:
+def _write(records: BinaryIO, writer: McapWriter) -> None:
     """Write records until there are no more.
 
     Where and when it was goes into ``metadata.yaml``, so that the files of the same run are the
@@ -215,7 +215,7 @@ def main() -> int:
     """Write what comes on standard input; return 2, and say why, if it cannot be written."""
     folder, *how = json.loads(sys.argv[1])
     try:
-        writer = BagWriter(BagOptions(Path(folder), *how), made=True)
+        writer = McapWriter(BagOptions(Path(folder), *how), made=True)
         print("ready", flush=True)
         with os.fdopen(sys.stdin.fileno(), "rb", 1 << 20, closefd=False) as records:
             _write(records, writer)

@@ -95,7 +95,7 @@ class _Sums:
         return {name: total / self.paid for name, total in self.terms.items()}
 
 
-class Recorder:
+class RunStatistics:
     """Keeps a line a cycle and the hashes; give it every tick, then ``finish``."""
 
     def __init__(self, params: Params, legs: Sequence[str], folder: Path | None = None) -> None:
@@ -206,7 +206,7 @@ class Recorder:
             if stance is not None:
                 sums.known += 1
                 sums.stance += stance
-            if sense.restart:
+            if sense.first_tick:
                 continue
             sums.slip += sense.slip
             if sense.force_peak > sums.peak:
@@ -273,10 +273,10 @@ class Recorder:
         """Return the body's lines, one a cycle."""
         return self.rows[len(self._legs) :: len(self._legs) + 1]
 
-    def record(self) -> Record:
+    def record(self) -> RunRecord:
         """Return the record as it is now."""
         traces = np.frombuffer(self.traces).reshape(-1, len(TRACE)).copy()
-        return Record(list(self.rows), traces, self.summary())
+        return RunRecord(list(self.rows), traces, self.summary())
 
     def summary(self) -> dict[str, Any]:
         """Return what ``summary.json`` says of the run itself: plain numbers by name."""
@@ -302,7 +302,7 @@ class Recorder:
         }
 
 
-class Record(NamedTuple):
+class RunRecord(NamedTuple):
     """A finished record, as it lies in its folder."""
 
     rows: list[Row]
@@ -315,7 +315,7 @@ class Record(NamedTuple):
         return [row for row in self.rows if row.module == BODY]
 
 
-def save_record(folder: Path, record: Record) -> None:
+def save_record(folder: Path, record: RunRecord) -> None:
     """Write a finished record as a recorder leaves it; the lines a cycle come last.
 
     Raises:
@@ -328,13 +328,13 @@ def save_record(folder: Path, record: Record) -> None:
         lines.writerows(record.rows)
 
 
-def _save_measured(folder: Path, record: Record) -> None:
+def _save_measured(folder: Path, record: RunRecord) -> None:
     text = json.dumps(record.measured, indent=2) + "\n"
     (folder / MEASURED).write_text(text, encoding="utf-8")
     np.save(folder / TRACES, record.traces)
 
 
-def load_record(folder: Path) -> Record:
+def load_record(folder: Path) -> RunRecord:
     """Read the record of a finished run."""
     with (folder / CYCLES).open(newline="", encoding="utf-8") as file:
         rows = [
@@ -342,7 +342,7 @@ def load_record(folder: Path) -> Record:
             for line in list(csv.reader(file))[1:]
         ]
     measured = json.loads((folder / MEASURED).read_text(encoding="utf-8"))
-    return Record(rows, np.load(folder / TRACES, allow_pickle=False), measured)
+    return RunRecord(rows, np.load(folder / TRACES, allow_pickle=False), measured)
 
 
 def _packed(did: Transition | None) -> bytes:

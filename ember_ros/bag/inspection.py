@@ -9,18 +9,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ember_ros.bag.reading import Bag, Tick
+from ember_ros.bag.reader import Bag, Tick
 from ember_ros.bag.storage import read_metadata
 from ember_ros.errors import BagError
 from ember_ros.params import params_sha256
-from ember_ros.report.recorder import Recorder, Row
+from ember_ros.report.run_statistics import Row, RunStatistics
 from ember_ros.signals import BodyState, LegCommand, LegSense, Transition
 
 CYCLES_CSV, TICKS_CSV = "cycles.csv", "ticks.csv"
 MOST_GAPS = 20
 
 
-class Seen:
+class BagStatistics:
     """What a pass through a bag has come by."""
 
     def __init__(self, bag: Bag) -> None:
@@ -33,7 +33,7 @@ class Seen:
         self.no_senses = dict.fromkeys(bag.legs, 0)
         self.no_command = dict.fromkeys(bag.legs, 0)
         self.falls = 0
-        self._recorder = Recorder(bag.params, bag.legs)
+        self._recorder = RunStatistics(bag.params, bag.legs)
         self._whole: Tick | None = None
         self._legs = bag.legs
 
@@ -54,7 +54,7 @@ class Seen:
         if whole is None or whole.tick + 1 != tick.tick:  # nothing to be credited
             if whole is not None and int(whole.beat.phase) != int(tick.beat.phase):
                 self._end()
-            senses = [sense._replace(restart=True) for sense in senses]
+            senses = [sense._replace(first_tick=True) for sense in senses]
             transitions = tuple(_uncredited(did) for did in transitions)
         self._recorder.tick(tick.beat, senses, tick.commands, tick.body, transitions)
         self._whole = tick
@@ -67,7 +67,7 @@ class Seen:
     def _end(self) -> None:
         """End the cycle that was begun."""
         if self._whole is not None:
-            last = [sense._replace(restart=True) for sense in self._whole.senses if sense]
+            last = [sense._replace(first_tick=True) for sense in self._whole.senses if sense]
             self._recorder.finish(last, self._whole.body)
 
 
@@ -77,7 +77,7 @@ def info(bag: Bag) -> tuple[dict[str, Any], list[Row]]:
     Raises:
         BagError: the bag is damaged.
     """
-    seen = Seen(bag)
+    seen = BagStatistics(bag)
     for tick in bag.ticks():
         seen.see(tick)
     rows = seen.rows()
@@ -109,13 +109,13 @@ def info(bag: Bag) -> tuple[dict[str, Any], list[Row]]:
         if isinstance(known, dict):
             found["provenance"] = {name: str(known[name]) for name in PROVENANCE if name in known}
         found["files"] = {file.name: file.stat().st_size for file in bag.files}
-    if bag.card is not None:
+    if bag.run_metadata is not None:
         found["card"] = {
-            "legs": {leg: told._asdict() for leg, told in bag.card.legs.items()},
-            "params_sha256": params_sha256(bag.card.params),
-            "start_table_sha256": bag.card.start_table_sha256,
-            "first_tick": bag.card.first_tick,
-            "versions": dict(bag.card.versions),
+            "legs": {leg: told._asdict() for leg, told in bag.run_metadata.legs.items()},
+            "params_sha256": params_sha256(bag.run_metadata.params),
+            "start_table_sha256": bag.run_metadata.start_table_sha256,
+            "first_tick": bag.run_metadata.first_tick,
+            "versions": dict(bag.run_metadata.versions),
         }
     return found, rows
 
@@ -156,17 +156,21 @@ def told(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     lines += [("  damaged", damage_told(each["tick"], each["leg"])) for each in found["damaged"]]
     provenance = found.get("provenance", {})
     lines += [(name.replace("_", " "), each) for name, each in provenance.items()]
-    card = found.get("card")
-    if card is None:
+    run_metadata = found.get("card")
+    if run_metadata is None:
         lines.append(("run", "not told: made by another recorder, cannot be replayed"))
     else:
-        kinds = {json.dumps(each, sort_keys=True) for each in card["legs"].values()}
+        kinds = {json.dumps(each, sort_keys=True) for each in run_metadata["legs"].values()}
         for each in map(json.loads, sorted(kinds)):
             said = ", ".join(f"{name} {value}" for name, value in each.items())
             lines.append(("legs", said))
-        lines.append(("versions", ", ".join(f"{k} {v}" for k, v in card["versions"].items())))
-        lines.append(("parameters SHA-256", card["params_sha256"][:12]))
-        lines.append(("table SHA-256, start", (card["start_table_sha256"] or "not known")[:12]))
+        lines.append(
+            ("versions", ", ".join(f"{k} {v}" for k, v in run_metadata["versions"].items()))
+        )
+        lines.append(("parameters SHA-256", run_metadata["params_sha256"][:12]))
+        lines.append(
+            ("table SHA-256, start", (run_metadata["start_table_sha256"] or "not known")[:12])
+        )
     if found["table_sha256"]:
         lines.append(("table SHA-256, end", found["table_sha256"][:12]))
     return lines
@@ -249,7 +253,7 @@ def write_csv(bag: Bag, folder: Path) -> list[Path]:
                 outs.append(opened.enter_context(file.open("x", newline="", encoding="utf-8")))
                 made.append(file)
             cycles, ticks = outs
-            seen = Seen(bag)
+            seen = BagStatistics(bag)
             lines = csv.writer(ticks)
             lines.writerow([*TICK_COLUMNS, *(f"reward_{term}" for term in bag.reward_terms)])
             lines.writerows(_lines(bag, seen))
@@ -267,7 +271,7 @@ def write_csv(bag: Bag, folder: Path) -> list[Path]:
     return files
 
 
-def _lines(bag: Bag, seen: Seen) -> Iterator[list[Any]]:
+def _lines(bag: Bag, seen: BagStatistics) -> Iterator[list[Any]]:
     """Yield a line a tick and leg; a tick's reward is known one tick later."""
     before: Tick | None = None
     names = bag.reward_terms

@@ -20,7 +20,7 @@ from ember_ros.params import (
     params_sha256,
     replace,
 )
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from ember_ros.worlds import legs_of, spec_of, stage_of
 from leg_node.table import Table
 
@@ -41,7 +41,7 @@ who adds one with another default adds it here too.
 """
 
 
-class LegCard(NamedTuple):
+class LegMetadata(NamedTuple):
     """What one leg was told."""
 
     stage: str
@@ -53,11 +53,11 @@ class LegCard(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Card:
+class RunMetadata:
     """Everything that determined a run but the senses themselves and the table at its start."""
 
     world: str
-    legs: Mapping[str, LegCard]
+    legs: Mapping[str, LegMetadata]
     """What each leg was told, by its name and in order; a leg of others' making is not here."""
     params: Params
     start_table_sha256: str | None
@@ -73,13 +73,15 @@ class Card:
     """Of the parameters as they were stored; None of a card that was never stored."""
 
     @classmethod
-    def of_plan(cls, plan: Plan, table: Table, versions: Mapping[str, str]) -> Card:
+    def of_config(cls, config: RunConfig, table: Table, versions: Mapping[str, str]) -> RunMetadata:
         """Return the card of a plan that starts from ``table``."""
-        told = LegCard(plan.stage, plan.seed, plan.policy, plan.learning, True, plan.start_cycle)
-        legs = dict.fromkeys(plan.legs, told)
-        return cls(plan.world, legs, plan.params, table.sha256(), 0, dict(versions))
+        told = LegMetadata(
+            config.stage, config.seed, config.policy, config.learning, True, config.start_cycle
+        )
+        legs = dict.fromkeys(config.legs, told)
+        return cls(config.world, legs, config.params, table.sha256(), 0, dict(versions))
 
-    def plan(self, cycles: int, table: Path | None) -> Plan:
+    def config(self, cycles: int, table: Path | None) -> RunConfig:
         """Return the plan that this run had.
 
         Args:
@@ -117,7 +119,7 @@ class Card:
                 f"{cannot}its legs had the learning numbers of stage {each.stage!r}, which is not "
                 f"that of the {self.world}; `ember relearn` works with it"
             )
-        return Plan(
+        return RunConfig(
             self.world,
             cycles,
             seed=each.seed,
@@ -131,7 +133,7 @@ class Card:
     def _gone(self) -> list[str]:
         return [f"{name} = {value!r}" for name, value in self.gone.items()]
 
-    def without_table(self) -> Card:
+    def without_table(self) -> RunMetadata:
         """Return the card of a run of which nobody knows what table it started from."""
         return dataclasses.replace(self, start_table_sha256=None)
 
@@ -150,7 +152,7 @@ class Card:
         return json.dumps(content)
 
 
-def read_card(text: str, where: str) -> Card:
+def read_run_metadata(text: str, where: str) -> RunMetadata:
     """Return the card in a JSON text.
 
     Raises:
@@ -169,7 +171,7 @@ def read_card(text: str, where: str) -> Card:
     try:
         stored = digest(content["params"])
         params, filled, gone = _params(_as_now(content["params"]))
-        card = Card(
+        run_metadata = RunMetadata(
             world=_world(content["world"]),
             legs={leg: _leg(told) for leg, told in content["legs"].items()},
             params=params,
@@ -186,7 +188,7 @@ def read_card(text: str, where: str) -> Card:
         raise BagError(f"{where} is no whole card of a run: {error!r}") from error
     if content.get("params_sha256") != stored:
         raise BagError(f"{where} is damaged: its parameters do not have the SHA-256 it names")
-    return card
+    return run_metadata
 
 
 def _params(stored: Mapping[str, Any]) -> tuple[Params, dict[str, Value], dict[str, Any]]:
@@ -234,8 +236,8 @@ def _world(value: Any) -> str:
     return str(value)
 
 
-def _leg(told: Mapping[str, Any]) -> LegCard:
-    return LegCard(
+def _leg(told: Mapping[str, Any]) -> LegMetadata:
+    return LegMetadata(
         _one_of(told["stage"], ("train", "walk")),
         _of(int, told["seed"]),
         _of(str, told["policy"]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ember_ros.params import Params, replace
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 
 TINY = replace(
     Params(),
@@ -30,7 +30,7 @@ def changed(base: Params, /, **changes: Any) -> Params:
     return replace(base, {name.replace("__", "."): value for name, value in changes.items()})
 
 
-def small_plan(cycles: int, *, world: str = "walker", seed: int = 3, **options: Any) -> Plan:
+def small_plan(cycles: int, *, world: str = "walker", seed: int = 3, **options: Any) -> RunConfig:
     """Return a plan on a small table; options with ``__`` in their names are parameters."""
     changes = {name: options.pop(name) for name in list(options) if "__" in name}
-    return Plan(world, cycles, seed=seed, params=changed(SMALL, **changes), **options)
+    return RunConfig(world, cycles, seed=seed, params=changed(SMALL, **changes), **options)

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ember_ros import topics, wire
-from ember_ros.bag.card import Card, read_card
 from ember_ros.bag.files import Connection, Files, files_of
-from ember_ros.bag.recording import absolute, crc_of
+from ember_ros.bag.run_metadata import RunMetadata, read_run_metadata
+from ember_ros.bag.run_writer import absolute, crc_of
 from ember_ros.bag.storage import METADATA, STORAGES, read_metadata
 from ember_ros.bag.window import LATE, Window
 from ember_ros.errors import BagError, EmberError, SignalError
@@ -100,9 +100,9 @@ class Bag:
             for connection in self._files.connections.values():
                 self.connections.setdefault(connection.topic, connection)
             self.namespace = self._choose(namespace)
-            self.card, self.table = self._read_run()
-            self.params = self.card.params if self.card else params or Params()
-            self.world = self.card.world if self.card else self._world()
+            self.run_metadata, self.table = self._read_run()
+            self.params = self.run_metadata.params if self.run_metadata else params or Params()
+            self.world = self.run_metadata.world if self.run_metadata else self._world()
             self.legs = self._legs()
             self._check_topics()
         except BaseException:
@@ -181,8 +181,8 @@ class Bag:
 
     def _legs(self) -> tuple[str, ...]:
         """Return the names of the legs; no code of a world of somebody's own is run for it."""
-        if self.card is not None and self.world not in WORLDS:
-            return tuple(self.card.legs)
+        if self.run_metadata is not None and self.world not in WORLDS:
+            return tuple(self.run_metadata.legs)
         return legs_of(self.world, self.params)
 
     def _needed(self) -> list[topics.Topic]:
@@ -190,7 +190,7 @@ class Bag:
         return [topics.PHASE, *(make(leg) for leg in self.legs for make in makers)]
 
     def _check_topics(self) -> None:
-        of_run = (topics.CRC, topics.CARD, topics.VALUES, topics.VISITS)
+        of_run = (topics.CRC, topics.RUN_METADATA, topics.VALUES, topics.VISITS)
         told = map(topics.transition, self.legs)
         optional = (topics.CLOCK, topics.ODOMETRY, topics.FALLS, *of_run, *told)
         for topic in (*self._needed(), *optional):
@@ -227,19 +227,19 @@ class Bag:
         first = {leg: self._one(topics.transition(leg)) for leg in self.legs}
         return [leg for leg, data in first.items() if data and not wire.is_older_transition(data)]
 
-    def _read_run(self) -> tuple[Card | None, Table | None]:
+    def _read_run(self) -> tuple[RunMetadata | None, Table | None]:
         """Return what determined the run, if the bag says so."""
-        text = self._one(topics.CARD)
+        text = self._one(topics.RUN_METADATA)
         if text is None:
             return None, None
-        where = f"{self.path}: {self._name(topics.CARD)}"
+        where = f"{self.path}: {self._name(topics.RUN_METADATA)}"
         try:
-            card = read_card(wire.read_text(text, where), where)
+            run_metadata = read_run_metadata(wire.read_text(text, where), where)
         except SignalError as error:
             raise BagError(str(error)) from error
         values, visits = self._one(topics.VALUES), self._one(topics.VISITS)
         if values is None or visits is None:
-            return card, None
+            return run_metadata, None
         try:
             (shape, _, learnt), (_, _, counts) = (
                 wire.read_array(data, code, where) for data, code in ((values, "d"), (visits, "q"))
@@ -251,12 +251,13 @@ class Bag:
             table.visits[:] = np.frombuffer(counts, "<i8")
         except (SignalError, ValueError, TypeError) as error:
             raise BagError(f"{self.path}: the table at the start is damaged: {error}") from error
-        if table.sha256() != card.start_table_sha256:
+        if table.sha256() != run_metadata.start_table_sha256:
             raise BagError(
                 f"{self.path}: the table at the start is not the one that was recorded (SHA-256 "
-                f"{table.sha256()[:12]}..., recorded {str(card.start_table_sha256)[:12]}...)"
+                f"{table.sha256()[:12]}..., recorded "
+                f"{str(run_metadata.start_table_sha256)[:12]}...)"
             )
-        return card, table
+        return run_metadata, table
 
     def _one(self, topic: topics.Topic) -> bytes | None:
         """Return the first message of a topic."""
@@ -275,7 +276,7 @@ class Bag:
     @property
     def stage(self) -> str:
         """Return which learning numbers the legs had: as the card says, or as the world wants."""
-        for told in self.card.legs.values() if self.card else ():
+        for told in self.run_metadata.legs.values() if self.run_metadata else ():
             return told.stage
         return stage_of(self.world) if self.world in WORLDS else "walk"
 

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ember_ros import topics, wire
-from ember_ros.bag.card import Card
-from ember_ros.bag.scribe import Sink
+from ember_ros.bag.run_metadata import RunMetadata
+from ember_ros.bag.writer_process import BagWriter
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from ember_ros.worlds import legs_of
 from leg_node.table import Table
@@ -27,7 +27,7 @@ FLUSH_TICKS = 16
 """Ticks a flush: a quarter of a second at the default period is the most that a kill can cost."""
 
 
-class Told(NamedTuple):
+class TickMessages(NamedTuple):
     """All messages of one tick; None where there was none."""
 
     clock: bytes | None
@@ -50,17 +50,22 @@ def crc_of(joints: bytes | None, contact: bytes | None) -> int:
     return zlib.crc32(contact or b"", zlib.crc32(joints or b""))
 
 
-class Recording:
+class RunWriter:
     """One robot's run, going into a bag; whoever made the writer closes it."""
 
     def __init__(
-        self, writer: Sink, card: Card, table: Table | None, *, namespace: str = ""
+        self,
+        writer: BagWriter,
+        run_metadata: RunMetadata,
+        table: Table | None,
+        *,
+        namespace: str = "",
     ) -> None:
         """Write what determined the run.
 
         Args:
             writer: of the bag.
-            card: of the run.
+            run_metadata: of the run.
             table: at the run's start, if it is known.
             namespace: of the robot.
 
@@ -70,8 +75,8 @@ class Recording:
         self.ticks = 0
         """Ticks that were written."""
         self._writer = writer
-        self._tick_ns = card.params.gait.tick_ns
-        legs = legs_of(card.world, card.params)
+        self._tick_ns = run_metadata.params.gait.tick_ns
+        legs = legs_of(run_metadata.world, run_metadata.params)
         self._legs = len(legs)
         self._beat = wire.BeatWire(self._tick_ns)
         self._senses = [wire.SenseWire(leg, self._tick_ns) for leg in legs]
@@ -79,7 +84,7 @@ class Recording:
         self._transitions = [wire.TransitionWire(leg, self._tick_ns) for leg in legs]
         self._falls = -1
         self._crcs = array("I")
-        self._next = card.first_tick
+        self._next = run_metadata.first_tick
 
         def channel(topic: topics.Topic) -> int:
             return writer.channel(absolute(namespace, topic.name), topic.kind)
@@ -93,8 +98,8 @@ class Recording:
         self._after = [channel(t) for t in (topics.PHASE, *said)]
         self._crc = channel(topics.CRC)
 
-        ns = card.first_tick * self._tick_ns
-        writer.write(channel(topics.CARD), ns, wire.pack_text(card.to_json()))
+        ns = run_metadata.first_tick * self._tick_ns
+        writer.write(channel(topics.RUN_METADATA), ns, wire.pack_text(run_metadata.to_json()))
         if table is not None:
             shape = (table.states, table.actions)
             for topic, code, numbers in (
@@ -125,7 +130,7 @@ class Recording:
         ]
         falls = None if body.falls == self._falls else wire.pack_int(body.falls)
         self._falls = body.falls
-        told = Told(
+        told = TickMessages(
             wire.pack_clock(ns),
             falls,
             wire.pack_odometry(ns, body),
@@ -137,7 +142,7 @@ class Recording:
         )
         self.put(tick, told)
 
-    def put(self, tick: int, told: Told) -> None:
+    def put(self, tick: int, told: TickMessages) -> None:
         """Write the messages of one tick; ticks must come in order.
 
         Raises:
