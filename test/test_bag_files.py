@@ -1036,22 +1036,22 @@ ENDLESS = """
 import sys
 from pathlib import Path
 import numpy as np
-from ember_ros.bag.run_metadata import Card
-from ember_ros.bag.run_writer import FLUSH_TICKS, Recording
-from ember_ros.bag.storage import BagOptions, BagWriter
+from ember_ros.bag.run_metadata import RunMetadata
+from ember_ros.bag.run_writer import FLUSH_TICKS, RunWriter
+from ember_ros.bag.storage import BagOptions, McapWriter
 from ember_ros.loop import Loop
 from ember_ros.params import Params
-from ember_ros.run_config import Plan
+from ember_ros.run_config import RunConfig
 from leg_node.assembly import empty_table
 from sim_node.fake import FakeWorld
 
 folder, versions, falls_at = eval(sys.argv[1])
-plan, table, rng = Plan("walker", 1, seed=3), empty_table(Params()), np.random.default_rng(7)
+config, table, rng = RunConfig("walker", 1, seed=3), empty_table(Params()), np.random.default_rng(7)
 table.values[:] = rng.normal(size=len(table.values))
 table.visits[:] = rng.integers(0, 1000, len(table.visits))
-loop = Loop(plan, FakeWorld(plan.legs, Params(), falls_at=falls_at))
-recording = Recording(
-    BagWriter(BagOptions(Path(folder))), Card.of_plan(plan, table, versions), table
+loop = Loop(config, FakeWorld(config.legs, Params(), falls_at=falls_at))
+recording = RunWriter(
+    McapWriter(BagOptions(Path(folder))), RunMetadata.of_config(config, table, versions), table
 )
 while True:
     loop.tick(recording)

@@ -27,13 +27,13 @@ import json, tempfile
 from pathlib import Path
 from ember_ros.loop import Loop
 from ember_ros.params_file import load_params
-from ember_ros.run_config import Plan
-from ember_ros.report.run_statistics import Recorder
+from ember_ros.run_config import RunConfig
+from ember_ros.report.run_statistics import RunStatistics
 from leg_node.table_file import save_table
 
-def run(plan):
-    loop, recorder = Loop(plan), Recorder(plan.params, plan.legs)
-    for _ in range(plan.cycles * plan.params.gait.ticks):
+def run(config):
+    loop, recorder = Loop(config), RunStatistics(config.params, config.legs)
+    for _ in range(config.cycles * config.params.gait.ticks):
         loop.tick(recorder)
     recorder.finish(loop.world.observe(), loop.world.body())
     table, found = loop.finish(), recorder.summary()
@@ -45,10 +45,10 @@ told = {}
 with tempfile.TemporaryDirectory() as folder:
     for learner, files in (("plain", ["plain"]), ("ember", [])):
         params, start = load_params(*files), Path(folder) / f"{learner}.npz"
-        table, told[f"{learner}, trainer"] = run(Plan("trainer", 60, seed=3, params=params))
+        table, told[f"{learner}, trainer"] = run(RunConfig("trainer", 60, seed=3, params=params))
         save_table(start, table, params, 3)
-        plan = Plan("walker", 12, seed=4, params=params, table=start)
-        told[f"{learner}, walker"] = run(plan)[1]
+        config = RunConfig("walker", 12, seed=4, params=params, table=start)
+        told[f"{learner}, walker"] = run(config)[1]
 print(json.dumps(told))
 """
 

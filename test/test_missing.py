@@ -31,9 +31,9 @@ WALK = (
     WALL
     + """
 from ember_ros.graph import Graph
-from ember_ros.run_config import Plan
+from ember_ros.run_config import RunConfig
 from sim_node.fake import FakeWorld
-graph = Graph(Plan("walker", 2), world=FakeWorld())
+graph = Graph(RunConfig("walker", 2), world=FakeWorld())
 graph.run()
 print(graph.sim.tick)
 graph.close()

@@ -206,9 +206,9 @@ def test_a_robot_runs_without_ros_and_bullet() -> None:
     """In a Python that has neither, the loop runs in the fake world."""
     run = """
 from ember_ros.loop import Loop
-from ember_ros.run_config import Plan
+from ember_ros.run_config import RunConfig
 from sim_node.fake import FakeWorld
-loop = Loop(Plan("walker", 1), FakeWorld())
+loop = Loop(RunConfig("walker", 1), FakeWorld())
 for _ in range(64):
     loop.tick()
 print(int(loop.finish().visits.sum()))
