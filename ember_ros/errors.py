@@ -45,15 +45,15 @@ class EmberError(Exception):
     A message is short and can be printed, whatever a file or a message of others put into it.
     """
 
-    MOST = 2000
+    MAX_LENGTH = 2000
     """Characters; of a longer message the middle is left out."""
     code = 2
     """With which a command ends that says it."""
 
     def __str__(self) -> str:
         """Return the message."""
-        text, half = super().__str__(), self.MOST // 2 - 3
-        if len(text) > self.MOST:
+        text, half = super().__str__(), self.MAX_LENGTH // 2 - 3
+        if len(text) > self.MAX_LENGTH:
             text = f"{text[:half]} ... {text[-half:]}"
         # What a terminal would obey, and what no encoding has, is spelt out.
         return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)

@@ -23,7 +23,7 @@ def act(shared: SharedTable, leg: LegModule, sense: LegSense, beat: Beat) -> Leg
     """Let a leg have its tick, between the two ends of its epoch."""
     upto = leg.copy.pull_due(sense.tick)
     if upto is not None:
-        leg.copy.take(shared.pull(leg.copy.version, upto), upto)
+        leg.copy.apply(shared.pull(leg.copy.version, upto), upto)
     command = leg.tick(sense, beat)
     if leg.copy.close_epoch(sense.tick):
         _push(shared, leg)

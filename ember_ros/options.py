@@ -50,7 +50,7 @@ OPTIONS = {
     ),
 }
 """Every option of every node, once."""
-LEAST = {
+MINIMA = {
     "cycles": -1,
     "seed": 0,
     "start_cycle": 0,
@@ -86,7 +86,7 @@ def check_option(name: str, value: Any, default: Any) -> Any:
     if option.choices and value not in option.choices and not own:
         more = ", or the dotted path of a class" if option.own else ""
         raise ParameterError(f"{name} = {value!r} must be one of {', '.join(option.choices)}{more}")
-    least = LEAST.get(name)
+    least = MINIMA.get(name)
     if least is not None and not value >= least:  # NaN is not
         raise ParameterError(f"{name} = {value!r} must be {least} or more: {option.doc}")
     if option.path:

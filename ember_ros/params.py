@@ -28,7 +28,7 @@ Value: TypeAlias = "float | int | bool | str | tuple[float, ...] | tuple[str, ..
 TRAINER_LEG = "leg"
 """The one leg of the trainer."""
 MAX_LEGS = 64
-MOST_CELLS = 4_000_000
+MAX_CELLS = 4_000_000
 """Of a table: a hundred times those of the paper. A file can ask for more than any memory holds."""
 
 

@@ -22,9 +22,9 @@ from ember_ros.params import Params, Spec, as_dict, check, replace
 
 SECTION = "/**"
 NUMBERS = "ros__parameters"
-MOST_TEXT = 1 << 20
+MAX_TEXT = 1 << 20
 """Bytes of a file: hundreds of times what all parameters need."""
-MOST_DEEP = 8
+MAX_DEPTH_OF_FILE = 8
 """Levels of nesting: rcl knows three of ours."""
 CONFIG = Path(__file__).parent / "config"
 """The parameter files that come with the package, for ``ember`` and for ``ros2 run`` alike."""
@@ -77,7 +77,7 @@ def robot_legs(files: Sequence[Path | str]) -> tuple[str, ...]:
     legs: Any = Params().robot.legs
     for file in files:
         try:
-            found: Any = _read(read_text(Path(file), MOST_TEXT))
+            found: Any = _read(read_text(Path(file), MAX_TEXT))
         except (OSError, ValueError) as error:
             raise ParameterError(f"{file}: {error}") from error
         for name in (SECTION, NUMBERS, "robot"):
@@ -128,7 +128,7 @@ def _load(file: Path, base: Params, before: set[str]) -> Params:
     """Return ``base`` with what a file says; ``before``: the names that files have said so far."""
     right = f"`{SECTION}: {{{NUMBERS}: {{group: {{name: value}}}}}}` would be right"
     try:
-        content = _read(read_text(file, MOST_TEXT))
+        content = _read(read_text(file, MAX_TEXT))
     except OSError as error:
         known = ", ".join(config_names())
         raise ParameterError(
@@ -238,8 +238,8 @@ def _read(text: str) -> Any:
                     )
                 put(_scalar(event.value) if plain and not is_key else event.value, line)
             elif isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent)):
-                if len(stack) > MOST_DEEP:
-                    raise ValueError(f"line {line}: nested more than {MOST_DEEP} deep")
+                if len(stack) > MAX_DEPTH_OF_FILE:
+                    raise ValueError(f"line {line}: nested more than {MAX_DEPTH_OF_FILE} deep")
                 stack.append({} if isinstance(event, yaml.MappingStartEvent) else [])
                 keys.append(None)
             elif isinstance(event, (yaml.MappingEndEvent, yaml.SequenceEndEvent)):

@@ -9,13 +9,13 @@ from ember_ros.errors import ParameterError
 from ember_ros.params import Params
 from ember_ros.worlds import legs_of, spec_of, stage_of
 
-MOST = 2**63 - 1
+MAX_INTEGER = 2**63 - 1
 """The greatest integer that a ROS parameter holds."""
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """A run, whole: the same plan gives the same bits whichever way it is run."""
+    """What is run: the same configuration gives the same bits on any backend."""
 
     world: str
     """``trainer``, ``walker``, or the dotted path of a world."""
@@ -35,12 +35,14 @@ class RunConfig:
         spec_of(self.world)
         if self.cycles < 0:
             raise ParameterError(f"cycles = {self.cycles} must be 0 or more")
-        if not 0 <= self.seed <= MOST:
+        if not 0 <= self.seed <= MAX_INTEGER:
             raise ParameterError(
-                f"seed = {self.seed}: 0 to {MOST} would be right, as nodes hold it"
+                f"seed = {self.seed}: 0 to {MAX_INTEGER} would be right, as nodes hold it"
             )
-        if not 0 <= self.start_cycle <= MOST:
-            raise ParameterError(f"start_cycle = {self.start_cycle}: 0 to {MOST} would be right")
+        if not 0 <= self.start_cycle <= MAX_INTEGER:
+            raise ParameterError(
+                f"start_cycle = {self.start_cycle}: 0 to {MAX_INTEGER} would be right"
+            )
 
     @property
     def legs(self) -> tuple[str, ...]:

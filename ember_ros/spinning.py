@@ -24,7 +24,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, Protocol, TypeVar
 
-MOST_DOMAIN = 232
+MAX_DOMAIN = 232
 """Of ROS_DOMAIN_ID: with a greater one, ports are beyond what UDP has."""
 TURN_S = 0.1  # the longest time until a signal is heard
 HAND_IN_S = 3.0
@@ -47,8 +47,8 @@ def prepare_environment() -> None:
     from ember_ros.errors import ParameterError
 
     domain = os.environ.get("ROS_DOMAIN_ID", "")
-    if domain and not (domain.isdecimal() and int(domain) <= MOST_DOMAIN):
-        raise ParameterError(f"ROS_DOMAIN_ID={domain}: 0 to {MOST_DOMAIN} would be right")
+    if domain and not (domain.isdecimal() and int(domain) <= MAX_DOMAIN):
+        raise ParameterError(f"ROS_DOMAIN_ID={domain}: 0 to {MAX_DOMAIN} would be right")
     logs = os.environ.get("ROS_LOG_DIR", "")
     if logs:
         try:

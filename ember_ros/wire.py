@@ -538,7 +538,7 @@ def read_text(data: Bytes, where: str) -> str:
         raise SignalError(f"{where}: the text is no UTF-8") from error
 
 
-MOST_DIMENSIONS = 4
+MAX_DIMENSIONS = 4
 _WIDTHS = {"d": 8, "q": 8, "I": 4}
 
 
@@ -572,7 +572,7 @@ def read_array(data: Bytes, code: str, where: str) -> tuple[tuple[int, ...], byt
     try:
         (dims,) = struct.unpack_from("<I", data, 0)
         at, shape = 4, []
-        for _ in range(min(dims, MOST_DIMENSIONS + 1)):
+        for _ in range(min(dims, MAX_DIMENSIONS + 1)):
             (length,) = struct.unpack_from("<I", data, at)
             at += 4 + length
             at += -at % 4
@@ -583,9 +583,9 @@ def read_array(data: Bytes, code: str, where: str) -> tuple[tuple[int, ...], byt
         at += -at % width
     except struct.error as error:
         raise SignalError(f"{where}: {len(data)} bytes are no array") from error
-    if dims > MOST_DIMENSIONS:
+    if dims > MAX_DIMENSIONS:
         raise SignalError(
-            f"{where}: an array of {dims} dimensions; up to {MOST_DIMENSIONS} would be right"
+            f"{where}: an array of {dims} dimensions; up to {MAX_DIMENSIONS} would be right"
         )
     numbers = data[at : at + width * count]
     if len(numbers) != width * count or count != offset + math.prod(shape):

@@ -9,7 +9,7 @@ from typing import Any
 
 from ember_ros import parts
 from ember_ros.errors import ParameterError, shown
-from ember_ros.params import MOST_CELLS, TRAINER_LEG, Learning, Params, cells_sha256
+from ember_ros.params import MAX_CELLS, TRAINER_LEG, Learning, Params, cells_sha256
 from ember_ros.randomness import LEARNER, generator
 from leg_node.discretizer import Discretizer, states_of
 from leg_node.learner import Learner
@@ -74,11 +74,11 @@ def make_discretizer(params: Params) -> Discretizer:
             "be right"
         )
     cells = states_of(made) * _tables(params) * len(params.leg.knee_speeds)
-    if cells > MOST_CELLS:
+    if cells > MAX_CELLS:
         raise ParameterError(
             f"parts.discretizer and leg.knee_speeds make a table of {states_of(made)} states "
             f"({' x '.join(map(str, shape))}) x {len(params.leg.knee_speeds)} actions, "
-            f"{cells} cells; up to {MOST_CELLS} would be right"
+            f"{cells} cells; up to {MAX_CELLS} would be right"
         )
     return made
 

@@ -19,7 +19,7 @@ from leg_node.shared import UpdateBatch
 
 ENDINGS = (".journal", ".snapshot.npz")
 """Behind the name of the table's file: the journal and the snapshot."""
-MOST_PUSHES = 1024
+MAX_BATCHES = 1024
 """Pushes after which a new snapshot is due: bounds the file and the time to read it."""
 
 

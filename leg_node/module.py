@@ -49,9 +49,11 @@ class LegModule:
 
         What was learnt from is in ``transition`` afterwards.
         """
-        seen = self._task.perceive(sense, beat)
-        self.transition = self._learn(seen.transition)
-        return self._task.act(seen, self._policy.choose(sense, seen.gait, seen.state))
+        perception = self._task.perceive(sense, beat)
+        self.transition = self._learn(perception.transition)
+        return self._task.act(
+            perception, self._policy.choose(sense, perception.gait, perception.state)
+        )
 
     def finish(self) -> None:
         """Learn what the learner still keeps; no tick may follow but after ``reset``."""

@@ -189,7 +189,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
         if self._waiting is not waiting:
             return  # too late: the tick went on without
         try:
-            self.module.copy.take(calls.read_changes(future.result()), upto)
+            self.module.copy.apply(calls.read_changes(future.result()), upto)
         except UpdateError as why:
             self._refuse(why)
             self.module.copy.skip_sync(upto)
@@ -272,7 +272,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
             )
         if self._waiting is None:
             if self._table_away and time.monotonic() > self._deadline:
-                self._knock()
+                self._probe()
             for tick in self._inbox.later("phase"):  # a first tick that waited for the table
                 if self._waiting is None:
                     self._look(tick)
@@ -290,7 +290,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
             )
             self._go_on()
 
-    def _knock(self) -> None:
+    def _probe(self) -> None:
         """Ask a table that did not answer whether it is there, and wait for no reply."""
         self._deadline = time.monotonic() + self._patience
         self._pushing = None

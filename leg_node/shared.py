@@ -24,9 +24,9 @@ from ember_ros.params import Rate
 from ember_ros.signals import TDUpdate
 from leg_node.table import Floats, Ints, Table
 
-MOST_PENDING = 64
+MAX_PENDING = 64
 """Epochs that may lie unmerged before a push merges the oldest: bounds the memory."""
-MOST_RUNS = 16
+MAX_RUNS = 16
 """Runs of one leg whose last epoch is remembered: bounds the memory."""
 NO_EPOCH = -2
 """Before the first pull; the table as it is before epoch 0 is pulled as epoch -1."""
@@ -97,11 +97,11 @@ class SharedTable:
             return False
         runs.pop(push.run, None)  # to the end of the order in which runs are forgotten
         runs[push.run] = push.epoch
-        while len(runs) > MOST_RUNS:
+        while len(runs) > MAX_RUNS:
             runs.pop(next(iter(runs)))
         if self.learning:
             self._pending.setdefault(push.epoch, []).append(push)
-            if len(self._pending) > MOST_PENDING:
+            if len(self._pending) > MAX_PENDING:
                 self.merge(min(self._pending))
         return True
 
@@ -247,7 +247,7 @@ class LocalCopy:
         upto = tick // self._sync_every - 1
         return upto if upto > self._epoch else None
 
-    def take(self, changes: Changes, upto: int) -> None:
+    def apply(self, changes: Changes, upto: int) -> None:
         """Take over what changed up to an epoch, and lay what is not yet in it back on top."""
         for cell, content in self._base.items():
             self.table.put(cell, *content)

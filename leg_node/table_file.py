@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ember_ros.errors import ParameterError, TableError, shown
 from ember_ros.given import open_file, read_json
 from ember_ros.params import (
-    MOST_CELLS,
+    MAX_CELLS,
     Params,
     as_dict,
     by_full_name,
@@ -33,9 +33,9 @@ from ember_ros.versions import version
 from leg_node.assembly import empty_table
 from leg_node.table import Table
 
-MOST_SHOWN = 8
+MAX_SHOWN = 8
 """Differences of parameters that are told one by one."""
-MOST_ABOUT = 1 << 20
+MAX_ABOUT = 1 << 20
 """Bytes of ``about``, and of all in a file that is not the numbers: a hundred times what it has."""
 _NPY = struct.Struct("<8sH")
 _MAGIC = b"\x93NUMPY\x01\x00"
@@ -108,7 +108,7 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
     file = shipped_table(file)
     table = empty_table(params)
     try:
-        with open_file(file, 16 * len(table) + MOST_ABOUT) as raw, zipfile.ZipFile(raw) as content:
+        with open_file(file, 16 * len(table) + MAX_ABOUT) as raw, zipfile.ZipFile(raw) as content:
             values, visits = _Member(content, "values"), _Member(content, "visits")
             shape = (table.states, table.actions)
             if values.shape != shape or visits.shape != shape:
@@ -186,7 +186,7 @@ def load_about(file: Path) -> dict[str, Any]:
         TableError: the file is missing, or is no table.
     """
     try:
-        with open_file(file, 16 * MOST_CELLS + MOST_ABOUT) as raw, zipfile.ZipFile(raw) as content:
+        with open_file(file, 16 * MAX_CELLS + MAX_ABOUT) as raw, zipfile.ZipFile(raw) as content:
             return _about(content)
     except FileNotFoundError:
         raise TableError(f"there is no table {file}; `ember train` makes one") from None
@@ -197,7 +197,7 @@ def load_about(file: Path) -> dict[str, Any]:
 
 
 def _about(content: zipfile.ZipFile) -> dict[str, Any]:
-    about = read_json(str(_Member(content, "about").read(MOST_ABOUT)), MOST_ABOUT)
+    about = read_json(str(_Member(content, "about").read(MAX_ABOUT)), MAX_ABOUT)
     if not isinstance(about, dict):
         raise ValueError("about is no JSON object")
     return about
@@ -235,8 +235,8 @@ def told_differences(
     found = [each for each in _differences(was, now) if not groups or each.split(".")[0] in groups]
     if not found:
         return None
-    more = f"; and {len(found) - MOST_SHOWN} more" if len(found) > MOST_SHOWN else ""
-    return f"{table} was learnt with other parameters: {'; '.join(found[:MOST_SHOWN])}{more}"
+    more = f"; and {len(found) - MAX_SHOWN} more" if len(found) > MAX_SHOWN else ""
+    return f"{table} was learnt with other parameters: {'; '.join(found[:MAX_SHOWN])}{more}"
 
 
 class _Member:

@@ -22,7 +22,7 @@ from ember_ros.spinning import main_of
 from ember_ros.throttle import Throttle
 from leg_node import calls
 from leg_node.assembly import empty_table, numbers_of
-from leg_node.journal import MOST_PUSHES, Journal, from_json, to_json
+from leg_node.journal import MAX_BATCHES, Journal, from_json, to_json
 from leg_node.shared import SharedTable
 from leg_node.table import Table
 from leg_node.table_file import load_table, save_table, told_differences
@@ -155,7 +155,7 @@ class TableNode(Seated, Node):  # type: ignore[misc]
             fresh = self.shared.push(push)
             if fresh and self._journal and self.shared.learning:
                 self._journal.add(push)
-                if self._journal.pushes >= MOST_PUSHES:
+                if self._journal.pushes >= MAX_BATCHES:
                     self._snapshot()
         except EmberError as why:
             response.result.successful = False

@@ -76,16 +76,16 @@ class LegTask:
         state = self.discretizer.index(sense, gait.stance)
         return Perception(sense, gait, state, self.credit(sense, state, gait.stance))
 
-    def act(self, seen: Perception, action: int) -> LegCommand:
+    def act(self, perception: Perception, action: int) -> LegCommand:
         """Drive the hip to its goal within the tick and the knee at the chosen speed.
 
         Args:
-            seen: at the beginning of the tick.
+            perception: at the beginning of the tick.
             action: position of the knee speed in ``leg.knee_speeds``.
         """
-        sense, gait, leg = seen.sense, seen.gait, self._leg
+        sense, gait, leg = perception.sense, perception.gait, self._leg
         as_stance = gait.ticks_to_stance <= self._lead
-        self._pending = _Pending(sense.tick, seen.state, gait.stance, action, as_stance)
+        self._pending = _Pending(sense.tick, perception.state, gait.stance, action, as_stance)
         speed = (gait.hip_goal - sense.hip) / self._tick_s
         most = leg.hip_speed_max
         speed = most if speed > most else -most if speed < -most else speed
@@ -113,10 +113,10 @@ class LegTask:
         Raises:
             ParameterError: the reward gives a term that is none of its names.
         """
-        did = self._pending
-        if did is None or sense.first_tick or did.tick + 1 != sense.tick:
+        pending = self._pending
+        if pending is None or sense.first_tick or pending.tick + 1 != sense.tick:
             return self.nothing_to_credit(sense.tick, state, stance)
-        applied = self._reward.terms(sense, did.rewarded_as_stance)
+        applied = self._reward.terms(sense, pending.rewarded_as_stance)
         if not self._terms.issuperset(applied):
             raise ParameterError(
                 f"parts.reward: {type(self._reward).__name__} gives the terms "
@@ -125,5 +125,12 @@ class LegTask:
             )
         terms = tuple([(name, applied.get(name, 0.0)) for name in self._reward.names])
         return Transition(
-            sense.tick, did.state, did.stance, did.action, terms, state, stance, td_error=0.0
+            sense.tick,
+            pending.state,
+            pending.stance,
+            pending.action,
+            terms,
+            state,
+            stance,
+            td_error=0.0,
         )

@@ -45,17 +45,17 @@ def _link(
     mass: float,
     inertia: Vector,
     centre: Vector = ORIGIN,
-    seen: Sequence[Shape] = (),
-    felt: Sequence[Shape] = (),
+    visual: Sequence[Shape] = (),
+    collision: Sequence[Shape] = (),
 ) -> None:
-    """Add a link: ``inertia`` is the diagonal at its centre of mass, kg m^2; ``felt`` collides."""
+    """Add a link: ``inertia`` is the diagonal at its centre of mass, kg m^2."""
     link = ET.SubElement(robot, "link", name=name)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=_text(centre), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=repr(float(mass)))
     diagonal = {f"i{a}{a}": repr(float(i)) for a, i in zip("xyz", inertia, strict=True)}
     ET.SubElement(inertial, "inertia", {**diagonal, "ixy": "0", "ixz": "0", "iyz": "0"})
-    for kind, shapes in (("visual", seen), ("collision", felt)):
+    for kind, shapes in (("visual", visual), ("collision", collision)):
         for shape in shapes:
             part = ET.SubElement(link, kind)
             ET.SubElement(part, "origin", xyz=_text(shape.at), rpy=_text(shape.turned))
@@ -144,7 +144,7 @@ def _add_leg(
     _link(robot, shank, leg.shank_mass, _rod(leg.shank_mass, reach), down, [rod, knee], [knee])
     _joint(robot, f"{name}_ankle", shank, foot, (0, 0, -reach))
     ball = 0.4 * leg.foot_mass * leg.foot_radius**2
-    _link(robot, foot, leg.foot_mass, (ball,) * 3, seen=[knee], felt=[knee])
+    _link(robot, foot, leg.foot_mass, (ball,) * 3, visual=[knee], collision=[knee])
 
 
 def _to_xml(robot: ET.Element) -> str:

@@ -90,13 +90,13 @@ class Ground:
         """Lay the ground at height 0, for the heading 0."""
         self._client = client
         plane = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
-        seen = bullet.createVisualShape(
+        visual = bullet.createVisualShape(
             bullet.GEOM_BOX,
             halfExtents=(50, 50, 0.001),
             rgbaColor=(0.93, 0.94, 0.92, 1),
             physicsClientId=client,
         )
-        self._body = bullet.createMultiBody(0, plane, seen, physicsClientId=client)
+        self._body = bullet.createMultiBody(0, plane, visual, physicsClientId=client)
         bullet.changeDynamics(
             self._body,
             -1,
@@ -197,7 +197,7 @@ class BulletWorld(ABC):
     def body(self) -> BodyState:
         """Return the truth about the body, for reports and viewers only."""
 
-    def _look(self) -> None:
+    def _turn_camera(self) -> None:
         """Turn the window's camera, if there is one, to where the legs are."""
         bullet.resetDebugVisualizerCamera(*EYE, self._middle(), physicsClientId=self._client)
 
@@ -263,7 +263,9 @@ class BulletWorld(ABC):
         client, robot = self._client, self._robot
         for _ in range(self.params.physics.substeps):
             bullet.stepSimulation(client)
-            self._feel(bullet.getContactPoints(robot, -1, -2, -2, client))  # -1, -2: with anything
+            self._read_contacts(
+                bullet.getContactPoints(robot, -1, -2, -2, client)
+            )  # -1, -2: with anything
         self._tick += 1
         self._senses = self._sense(first_tick=False)
         self.work += self._worked
@@ -271,7 +273,7 @@ class BulletWorld(ABC):
         if self._fell():
             self._build()
         if self._gui:
-            self._look()
+            self._turn_camera()
 
     # -- building ----------------------------------------------------------------------------
 
@@ -374,7 +376,7 @@ class BulletWorld(ABC):
 
     # -- senses ------------------------------------------------------------------------------
 
-    def _feel(self, contacts: Sequence[tuple[Any, ...]]) -> None:
+    def _read_contacts(self, contacts: Sequence[tuple[Any, ...]]) -> None:
         """Take in the contacts of one physics step."""
         now = self._steps = self._steps + 1
         by_link = self._by_link

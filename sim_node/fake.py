@@ -19,7 +19,7 @@ from ember_ros.signals import Beat, BodyState, LegCommand, LegSense
 
 SINK_A_LOAD = 0.01
 """Depth under the ground at which a foot bears one load, m."""
-MOST_LOADS = 4.0
+MAX_LOADS = 4.0
 """Force of a foot that is any deeper, in loads: what lies below does not break."""
 
 
@@ -155,4 +155,4 @@ class FakeWorld:
         return _Foot(ahead, depth)
 
     def _force(self, foot: _Foot) -> float:
-        return self.params.leg.load * min(MOST_LOADS, max(0.0, foot.depth / SINK_A_LOAD))
+        return self.params.leg.load * min(MAX_LOADS, max(0.0, foot.depth / SINK_A_LOAD))

@@ -61,7 +61,7 @@ STUCK_S = 300.0
 """Wall time after which a reader that does nothing is given up, and the campaign with it."""
 ADDRESS_SPACE = 4 << 30
 """Bytes more than at the start, so that a bomb kills this process and not the machine."""
-MOST_SAID = 2500
+MAX_MESSAGE = 2500
 """Characters of a message."""
 TICKS = 48
 
@@ -791,7 +791,7 @@ def one(name: str, n: int, corpus: Path, folder: Path) -> tuple[str, Watch, str]
         outcome, said = "failed", f"more than {LIMIT_S} s: {traceback.format_exc()}"
     except BaseException:
         outcome, said = "failed", traceback.format_exc()
-    if outcome == "refused" and (len(said) > MOST_SAID or "\n" in said or not said.isprintable()):
+    if outcome == "refused" and (len(said) > MAX_MESSAGE or "\n" in said or not said.isprintable()):
         outcome, said = "failed", f"a message of {len(said)} characters: {said[:300]!r}"
     elif watch.mb > LIMIT_MB:
         outcome, said = "failed", f"{watch.mb:.0f} MB; {said}"

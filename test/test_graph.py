@@ -615,7 +615,7 @@ def test_a_leg_in_a_new_life_lays_no_pair_twice() -> None:
     def epoch(first: int, last: int) -> None:
         upto = copy.pull_due(first)
         if upto is not None:
-            copy.take(shared.pull(copy.version, upto), upto)
+            copy.apply(shared.pull(copy.version, upto), upto)
         for tick in range(first, last + 1):
             copy.learn(TDUpdate(tick, tick % 7, tick / 9))
         copy.close_epoch(last)

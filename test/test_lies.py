@@ -129,7 +129,7 @@ def refusal(bag: Path) -> str:
     text = str(error.value)
     assert str(bag) in text
     assert "\n" not in text
-    assert len(text) <= EmberError.MOST
+    assert len(text) <= EmberError.MAX_LENGTH
     return text
 
 
@@ -307,11 +307,11 @@ def filled(size: int) -> bytes:
 
 
 BOMBS: dict[str, tuple[list[bytes], str]] = {
-    "that says so": ([chunk_of(filled(guard.MOST_BYTES + 99))], "up to 33554432 are unpacked"),
-    "said to be small": ([chunk_of(filled(guard.MOST_BYTES * 4), 100)], "unpacked instead of 100"),
+    "that says so": ([chunk_of(filled(guard.MAX_BYTES + 99))], "up to 33554432 are unpacked"),
+    "said to be small": ([chunk_of(filled(guard.MAX_BYTES * 4), 100)], "unpacked instead of 100"),
     "said to be huge": ([chunk_of(b"", 2**63)], "grows to more than 100 times"),
-    "many": ([chunk_of(filled(guard.MOST_BYTES))] * 9, "grows to more than 100 times"),
-    "of records": ([chunk_of(filled(9) * (guard.MOST_RECORDS + 1))], "records in one chunk"),
+    "many": ([chunk_of(filled(guard.MAX_BYTES))] * 9, "grows to more than 100 times"),
+    "of records": ([chunk_of(filled(9) * (guard.MAX_RECORDS + 1))], "records in one chunk"),
 }
 
 
@@ -329,14 +329,14 @@ def test_a_chunk_that_grows_is_not_unpacked(mcap: Path, name: str) -> None:
 
 def test_a_chunk_within_the_bounds_is_read(mcap: Path) -> None:
     """Up to the very byte."""
-    with_chunks(mcap, chunk_of(filled(guard.MOST_BYTES)))
+    with_chunks(mcap, chunk_of(filled(guard.MAX_BYTES)))
     assert ticks_of(mcap) == mutate.TICKS
 
 
 def test_not_all_chunks_are_open_at_one_time(mcap: Path) -> None:
     """Whatever they say of their times."""
     noise = filled(9) + struct.pack("<BQ", 9, 1 << 18) + os.urandom(1 << 18)
-    chunk = chunk_of(noise + filled(guard.MOST_BYTES // 2 + 1 - len(noise)))
+    chunk = chunk_of(noise + filled(guard.MAX_BYTES // 2 + 1 - len(noise)))
     message = struct.pack("<HIQQ", 1, 0, 2**60, 0) + wire.pack_clock(2**60)
     late = chunk_of(noise + struct.pack("<BQ", 5, len(message)) + message, first=2**60)
     with_chunks(mcap, *[chunk] * 3)
@@ -344,7 +344,7 @@ def test_not_all_chunks_are_open_at_one_time(mcap: Path) -> None:
     with_chunks(mcap, *[late] * 200)  # of one and the same time: one after the other
     assert ticks_of(mcap) == mutate.TICKS
     full = noise + struct.pack("<BQ", 5, len(message)) + message
-    full += filled(guard.MOST_BYTES // 2 + 1 - len(full))
+    full += filled(guard.MAX_BYTES // 2 + 1 - len(full))
     with_chunks(mcap, *[chunk_of(full)] * 3, late)
     assert "are of the same time" in refusal(mcap)
 
@@ -363,7 +363,7 @@ def test_an_array_of_many_dimensions_is_refused() -> None:
 def test_a_message_of_an_error_is_short_and_can_be_printed() -> None:
     """Whatever a name in a bag would have made of it, or of the terminal."""
     text = str(BagError("begin\x1b[2J\ud800" + "x" * 10**6 + "end"))
-    assert len(text) < EmberError.MOST + 20
+    assert len(text) < EmberError.MAX_LENGTH + 20
     assert text.startswith("begin\\x1b[2J\\ud800xxx")
     assert text.endswith("xend")
     text.encode()

@@ -13,7 +13,7 @@ from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
 from ember_ros.resume import beginning, resumed
 from ember_ros.run import SUMMARY, TABLE, run
-from ember_ros.run_config import MOST, RunConfig
+from ember_ros.run_config import MAX_INTEGER, RunConfig
 from leg_node.assembly import empty_table
 from leg_node.policy import epsilon_at
 from leg_node.table_file import load_table, save_table
@@ -113,8 +113,8 @@ def test_what_is_other_now_is_named(tmp_path: Path) -> None:
     assert only == "going on from cycle 10, exploring 50 % at first"
 
 
-@pytest.mark.parametrize("seed", [-1, MOST + 1])
+@pytest.mark.parametrize("seed", [-1, MAX_INTEGER + 1])
 def test_a_seed_is_one_that_nodes_can_hold(seed: int) -> None:
     """A parameter of a node has 63 bits."""
-    with pytest.raises(ParameterError, match=f"seed = {seed}: 0 to {MOST}"):
+    with pytest.raises(ParameterError, match=f"seed = {seed}: 0 to {MAX_INTEGER}"):
         RunConfig("walker", 1, seed=seed)

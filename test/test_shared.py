@@ -302,7 +302,7 @@ def test_memory_is_bounded(merging: bool) -> None:
             table.pull(table.version, epoch - 1)
         if epoch in (999, 9_999):
             sizes.append(footprint(table))
-    assert sizes[0] == sizes[1] <= 8 * 4 * (module.MOST_PENDING + 1)
+    assert sizes[0] == sizes[1] <= 8 * 4 * (module.MAX_PENDING + 1)
     table.merge()
     assert table.table.visits.sum() == 40_000
 
@@ -482,7 +482,7 @@ class Machine:
         """Let a copy pull what is due at a tick."""
         upto = copy.pull_due(tick)
         if upto is not None:
-            copy.take(self.shared.pull(copy.version, upto), upto)
+            copy.apply(self.shared.pull(copy.version, upto), upto)
 
     def end(self, copy: LocalCopy, tick: int, *, early: bool = False) -> None:
         """Let a copy push what is due after a tick."""

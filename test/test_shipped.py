@@ -15,7 +15,7 @@ from ember_ros.params import Params
 from ember_ros.shipped import BAG, DATA, TABLE
 from leg_node.table_file import load_table, told_differences
 
-MOST_BYTES = 300_000
+MAX_BYTES = 300_000
 
 needs_sim = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is missing")
 needs_bags = pytest.mark.skipif(find_spec("rosbags") is None, reason="rosbags is missing")
@@ -33,7 +33,7 @@ def test_the_table_is_of_this_version() -> None:
     assert told_differences(Path(TABLE), about, Params()) is None
     assert about["cycle"] == 6000
     assert table.visits.sum() > 0
-    assert (DATA / f"{TABLE}.npz").stat().st_size < MOST_BYTES
+    assert (DATA / f"{TABLE}.npz").stat().st_size < MAX_BYTES
 
 
 @needs_bags

@@ -21,11 +21,11 @@ from pathlib import Path, PurePath
 from typing import Any, BinaryIO, NamedTuple, Protocol, TypeAlias
 
 from ember_ros.bag.guard import (
-    MOST_BYTES,
-    MOST_OPEN,
-    MOST_RECORDS,
-    MOST_TIMES,
-    MOST_TOLD,
+    MAX_BYTES,
+    MAX_OPEN,
+    MAX_RECORDS,
+    MAX_REPORTED,
+    MAX_TIMES,
     check_database,
     check_file,
     check_topics,
@@ -97,10 +97,10 @@ def _zstd() -> Any:
 
 
 def _decompressor() -> Any:
-    return _zstd().ZstdDecompressor(max_window_size=MOST_BYTES)
+    return _zstd().ZstdDecompressor(max_window_size=MAX_BYTES)
 
 
-def unpack(data: bytes, compression: str, size: int, most: int = MOST_BYTES) -> bytes:
+def unpack(data: bytes, compression: str, size: int, most: int = MAX_BYTES) -> bytes:
     """Return what was compressed, without ever holding more than ``size`` bytes of it and one.
 
     Raises:
@@ -133,9 +133,9 @@ def plain(data: bytes) -> bytes:
     if data[:4] != _ZSTD:
         return data
     with _decompressor().stream_reader(data, read_across_frames=True) as reader:
-        found = bytes(reader.read(MOST_BYTES + 1))
-    if len(found) > MOST_BYTES:
-        raise ValueError(f"a message of more than {MOST_BYTES} bytes when it is unpacked")
+        found = bytes(reader.read(MAX_BYTES + 1))
+    if len(found) > MAX_BYTES:
+        raise ValueError(f"a message of more than {MAX_BYTES} bytes when it is unpacked")
     size = _zstd().frame_content_size(data)
     if size >= 0 and size != len(found):
         raise ValueError(f"a message of {len(found)} bytes that says it has {size}")
@@ -152,7 +152,7 @@ def unpacked(file: Path, folder: Path) -> Path:
         if raw.read(4) != _ZSTD:
             return file
         raw.seek(0)
-        into, most = folder / file.stem, MOST_BYTES + file.stat().st_size * MOST_TIMES
+        into, most = folder / file.stem, MAX_BYTES + file.stat().st_size * MAX_TIMES
         size = _zstd().frame_content_size(raw.read(18))  # -1 where it is not said
         raw.seek(0)
         if size > most:
@@ -162,7 +162,7 @@ def unpacked(file: Path, folder: Path) -> Path:
             for part in _decompressor().read_to_iter(raw):
                 size += len(part)
                 if size > most:
-                    raise ValueError(f"{file} grows to more than {MOST_TIMES} times its size")
+                    raise ValueError(f"{file} grows to more than {MAX_TIMES} times its size")
                 out.write(part)
     return into
 
@@ -206,8 +206,8 @@ class Channels:
             return
         self._learnt[kind, data[:2]] = data
         self._size += len(data)
-        if self._size > MOST_TOLD:
-            raise ValueError(f"more than {MOST_TOLD} bytes about its topics")
+        if self._size > MAX_REPORTED:
+            raise ValueError(f"more than {MAX_REPORTED} bytes about its topics")
         from mcap import records
         from mcap.data_stream import ReadDataStream
 
@@ -290,8 +290,8 @@ class Mcap:
                 first, _, told, _, _ = _OF_CHUNK.unpack(raw.read(_OF_CHUNK.size))
                 self._chunks.append((first, begin + HEAD.size, length, told))
                 grown += told
-                if grown > MOST_BYTES + MOST_TIMES * size:
-                    raise ValueError(f"it grows to more than {MOST_TIMES} times its size")
+                if grown > MAX_BYTES + MAX_TIMES * size:
+                    raise ValueError(f"it grows to more than {MAX_TIMES} times its size")
             elif kind in (SCHEMA, CHANNEL, STATISTICS):
                 self._channels.learn(kind, bounded(raw, length))
             elif kind == FOOTER:
@@ -377,8 +377,8 @@ class Mcap:
 
 def bounded(raw: BinaryIO, length: int) -> bytes:
     """Return what a record holds."""
-    if length > MOST_BYTES:
-        raise ValueError(f"a record of {length} bytes; up to {MOST_BYTES} are read")
+    if length > MAX_BYTES:
+        raise ValueError(f"a record of {length} bytes; up to {MAX_BYTES} are read")
     return raw.read(length)
 
 
@@ -414,7 +414,7 @@ def message_in(data: bytes) -> tuple[int, int, bytes]:
     return ns, number, data[_OF_MESSAGE.size :]
 
 
-def chunk(data: bytes, most: int = MOST_BYTES) -> bytes:
+def chunk(data: bytes, most: int = MAX_BYTES) -> bytes:
     """Return what is inside an MCAP chunk, its CRC checked, of up to ``most`` bytes.
 
     Raises:
@@ -427,7 +427,7 @@ def chunk(data: bytes, most: int = MOST_BYTES) -> bytes:
     compression = data[_OF_CHUNK.size : at].decode(errors="replace")
     if len(data) < at + 8 or struct.unpack_from("<Q", data, at)[0] != len(data) - at - 8:
         raise ValueError("a chunk is damaged")
-    found = unpack(data[at + 8 :], compression, size, min(most, MOST_BYTES))
+    found = unpack(data[at + 8 :], compression, size, min(most, MAX_BYTES))
     if crc and zlib.crc32(found) != crc:
         raise ValueError("a chunk has another CRC-32 than it names")
     return found
@@ -442,8 +442,8 @@ def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
     at = count = 0
     while at < len(data):
         count += 1
-        if count > MOST_RECORDS:
-            raise ValueError(f"more than {MOST_RECORDS} records in one chunk")
+        if count > MAX_RECORDS:
+            raise ValueError(f"more than {MAX_RECORDS} records in one chunk")
         if at + HEAD.size > len(data):
             raise ValueError("a chunk is damaged")
         kind, length = HEAD.unpack_from(data, at)
@@ -591,8 +591,8 @@ def _order(sources: Iterator[_Source]) -> Iterator[Message]:
         while waiting and (not heap or (waiting[-1][1].first, waiting[-1][0]) < heap[0][:2]):
             n, source = waiting.pop()
             messages, sizes[n] = source.messages(), source.size
-            if len(sizes) > 1 and sum(sizes.values()) > MOST_OPEN:
-                raise ValueError(f"chunks of more than {MOST_OPEN} bytes are of the same time")
+            if len(sizes) > 1 and sum(sizes.values()) > MAX_OPEN:
+                raise ValueError(f"chunks of more than {MAX_OPEN} bytes are of the same time")
             for message in messages:
                 heapq.heappush(heap, (message.ns, n, message, messages))
                 break

@@ -14,21 +14,21 @@ import yaml
 
 from ember_ros.errors import shown
 
-MOST_BYTES = 1 << 25
+MAX_BYTES = 1 << 25
 """Of a chunk or a message when it is unpacked: more is said before anything is unpacked."""
-MOST_OPEN = 1 << 25
+MAX_OPEN = 1 << 25
 """Bytes of chunks that are open together, since the times of their messages overlap."""
-MOST_RECORDS = 200_000
+MAX_RECORDS = 200_000
 """In one chunk."""
-MOST_TIMES = 100
+MAX_TIMES = 100
 """That a file may grow when all in it is unpacked, and MOST_BYTES; recordings grow tenfold."""
-MOST_TOPICS, MOST_NAME = 5000, 1000
+MAX_TOPICS, MAX_NAME = 5000, 1000
 """Topics of a file, and characters of a topic or its type."""
-MOST_TOLD = 1 << 24
+MAX_REPORTED = 1 << 24
 """Bytes of everything that one file tells of its topics."""
-MOST_TEXT = 1 << 22
+MAX_TEXT = 1 << 22
 """Characters of a YAML text."""
-MOST_YAML, MOST_DEPTH = 200_000, 100
+MAX_YAML, MAX_DEPTH = 200_000, 100
 """Nodes of a YAML text when every alias is written out, and how deep they may lie."""
 SLOWEST_S, SLOWEST_BYTES_S = 10.0, 20e6
 """Wall time that SQLite has to look at a file: so much, and so much more for what is in it."""
@@ -62,10 +62,10 @@ def check_topics(topics: Collection[tuple[str, str]]) -> None:
     Raises:
         ValueError: there are too many, or one has too long a name.
     """
-    if len(topics) > MOST_TOPICS:
-        raise ValueError(f"{len(topics)} topics; up to {MOST_TOPICS} would be right")
+    if len(topics) > MAX_TOPICS:
+        raise ValueError(f"{len(topics)} topics; up to {MAX_TOPICS} would be right")
     for name in (name for topic in topics for name in topic):
-        if len(name) > MOST_NAME:
+        if len(name) > MAX_NAME:
             raise ValueError(f"a topic or a type of {len(name)} characters: {shown(name)}")
 
 
@@ -75,8 +75,8 @@ def load_yaml(text: str) -> Any:
     Raises:
         ValueError: it is none, is nested too deeply, or grows beyond all measure by its aliases.
     """
-    if len(text) > MOST_TEXT:
-        raise ValueError(f"{len(text)} characters of YAML; up to {MOST_TEXT} would be right")
+    if len(text) > MAX_TEXT:
+        raise ValueError(f"{len(text)} characters of YAML; up to {MAX_TEXT} would be right")
     try:
         _check_yaml(text)
         return yaml.load(text, LOADER)
@@ -105,9 +105,9 @@ def _check_yaml(text: str) -> None:
             nodes += 1
             if event.anchor is not None:
                 sizes[event.anchor] = 1
-        if nodes > MOST_YAML or len(inside) > MOST_DEPTH:
+        if nodes > MAX_YAML or len(inside) > MAX_DEPTH:
             raise ValueError(
-                f"more than {MOST_YAML} values by its aliases, or more than {MOST_DEPTH} deep"
+                f"more than {MAX_YAML} values by its aliases, or more than {MAX_DEPTH} deep"
             )
 
 
@@ -129,7 +129,7 @@ def check_database(database: sqlite3.Connection, size: int) -> None:
     database.set_progress_handler(lambda: time.monotonic() > deadline, _STEPS)
     try:
         if sys.version_info >= (3, 11):
-            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_BYTES)
         database.execute("PRAGMA trusted_schema=OFF")
         database.execute("PRAGMA ignore_check_constraints=ON")
         computed = (

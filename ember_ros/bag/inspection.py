@@ -17,7 +17,7 @@ from ember_ros.report.run_statistics import Row, RunStatistics
 from ember_ros.signals import BodyState, LegCommand, LegSense, Transition
 
 CYCLES_CSV, TICKS_CSV = "cycles.csv", "ticks.csv"
-MOST_GAPS = 20
+MAX_GAPS = 20
 
 
 class BagStatistics:
@@ -95,11 +95,11 @@ def info(bag: Bag) -> tuple[dict[str, Any], list[Row]]:
         "distance_m": sum(row.distance_m or 0.0 for row in body),
         "reward": sum(r.reward for r in body) / len(body) if body and bag.reward_terms else None,
         "lost_ticks": sum(last - first + 1 for first, last in seen.gaps),
-        "gaps": seen.gaps[:MOST_GAPS],
+        "gaps": seen.gaps[:MAX_GAPS],
         "ticks_without_senses": {leg: n for leg, n in seen.no_senses.items() if n},
         "ticks_without_command": {leg: n for leg, n in seen.no_command.items() if n},
         "stale_messages": bag.stale,
-        "damaged": [damage._asdict() for damage in bag.damages[:MOST_GAPS]],
+        "damaged": [damage._asdict() for damage in bag.damages[:MAX_GAPS]],
         "table_sha256": bag.table_sha256,
     }
     if bag.path.is_dir():

@@ -21,7 +21,7 @@ from ember_ros.errors import BagError
 from ember_ros.seat import Seat, TakenError
 
 PAUSE = topics.Service("play/pause", "std_srvs/srv/SetBool")
-MOST = 256
+MAX_PER_TURN = 256
 """Messages a turn: Fast DDS holds 512 between two processes."""
 LONGEST_GAP_S = 30.0
 """Of the bag's own time without a message: what is longer is left out."""
@@ -173,7 +173,7 @@ class PlayerNode(Node):  # type: ignore[misc]
         if self._next is not None and (gap := self._next.ns - due) > LONGEST_GAP_S * 1e9:
             self.get_logger().info(f"nothing for {gap * 1e-9:.0f} s: left out")
             self._origin, due = self._origin + gap, due + gap
-        most = self.played + MOST
+        most = self.played + MAX_PER_TURN
         while self._next is not None and self._next.ns <= due and self.played < most:
             publisher = self._sayers.get(self._next.topic)
             if publisher is not None and self._next.kind == self._types[self._next.topic]:

@@ -33,7 +33,7 @@ from ember_ros.bag.files import (
     records_in,
     unpacked,
 )
-from ember_ros.bag.guard import MOST_BYTES, MOST_TIMES, check_file, load_yaml
+from ember_ros.bag.guard import MAX_BYTES, MAX_TIMES, check_file, load_yaml
 from ember_ros.bag.storage import (
     METADATA,
     QOS,
@@ -48,7 +48,7 @@ from ember_ros.bag.storage import (
 from ember_ros.errors import BagError
 from ember_ros.given import open_file
 
-MOST_QOS = 100
+MAX_QOS = 100
 """Profiles of one topic, which are its publishers."""
 FLUSH_MESSAGES = 1000
 """Messages a chunk, where those that are brought back lay in none."""
@@ -249,13 +249,13 @@ def _qos(told: Any) -> Sequence[Any]:
     """
     if isinstance(told, str):
         try:
-            told = load_yaml(told if len(told) < MOST_QOS * 1000 else "")
+            told = load_yaml(told if len(told) < MAX_QOS * 1000 else "")
         except ValueError:
             return QOS
-    if not isinstance(told, list) or not all(map(_is_profile, told[:MOST_QOS])):
+    if not isinstance(told, list) or not all(map(_is_profile, told[:MAX_QOS])):
         return QOS
     profiles = []
-    for each in told[:MOST_QOS]:
+    for each in told[:MAX_QOS]:
         profile = dict(each)
         for name, words in _WORDS.items():
             if type(profile.get(name)) is int and 0 <= profile[name] < len(words):
@@ -380,7 +380,7 @@ def _records(raw: BinaryIO, size: int) -> Iterator[tuple[int, list[tuple[int, by
     raw.seek(0)
     if raw.read(len(MAGIC)) != MAGIC:
         return
-    at, most = len(MAGIC), MOST_BYTES + MOST_TIMES * size
+    at, most = len(MAGIC), MAX_BYTES + MAX_TIMES * size
     while at + HEAD.size <= size:
         raw.seek(at)
         kind, length = HEAD.unpack(raw.read(HEAD.size))

@@ -25,7 +25,7 @@ from ember_ros.worlds import legs_of, spec_of, stage_of
 from leg_node.table import Table
 
 T = TypeVar("T")
-MOST_CHARACTERS = 1 << 20
+MAX_CHARACTERS = 1 << 20
 """Of a card: a hundred times what one has."""
 FORMAT = 1
 """Of the card; a reader knows its own and all before."""
@@ -159,7 +159,7 @@ def read_run_metadata(text: str, where: str) -> RunMetadata:
         BagError: it is none, or of a later format than this version knows.
     """
     try:
-        content = read_json(text, MOST_CHARACTERS)
+        content = read_json(text, MAX_CHARACTERS)
         found = content["format"]
     except (ValueError, KeyError, TypeError) as error:
         raise BagError(f"{where} is no card of a run: {error!r}") from error

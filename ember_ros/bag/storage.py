@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import yaml
 
-from ember_ros.bag.guard import MOST_TEXT, check_file, load_yaml
+from ember_ros.bag.guard import MAX_TEXT, check_file, load_yaml
 from ember_ros.errors import PIP, BagError
 from ember_ros.given import read_text
 
@@ -428,7 +428,7 @@ def read_metadata(folder: Path) -> dict[str, Any]:
         if file.exists() and not file.is_file():
             raise BagError(f"cannot read {file}: it is no regular file")
         check_file(file, folder)
-        content = load_yaml(read_text(file, MOST_TEXT))[INFORMATION]
+        content = load_yaml(read_text(file, MAX_TEXT))[INFORMATION]
         if not isinstance(content, dict):
             raise TypeError(f"{INFORMATION} is a {type(content).__name__}")
     except OSError as error:

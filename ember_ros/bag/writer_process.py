@@ -28,7 +28,7 @@ from ember_ros.versions import provenance
 _RECORD = struct.Struct("<BHqI")
 """What it is, the channel, the time in ns, and how many bytes follow."""
 _CHANNEL, _MESSAGE, _FLUSH, _CLOSE = range(4)
-_MOST_BYTES = 1 << 20
+_MAX_BYTES = 1 << 20
 """Handed over at the latest, flush or no flush: bounds the memory."""
 _PIPE_BYTES = 1 << 20
 """What lies between the two processes: so much that a flush does not wait for the other one."""
@@ -106,7 +106,7 @@ class WriterProcess:
         records = self._records
         records += _RECORD.pack(_MESSAGE, channel, ns, len(data))
         records += data
-        if len(records) > _MOST_BYTES:
+        if len(records) > _MAX_BYTES:
             self._hand_over()
 
     def _put(self, what: int, channel: int, data: bytes) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from ember_ros.options import LEAST, OPTIONS
+from ember_ros.options import MINIMA, OPTIONS
 from ember_ros.params_file import config_names, read_settings
 
 Adds = Callable[[Any], Any]
@@ -96,7 +96,7 @@ def of_node(flag: str, *, also: str = "", **other: Any) -> Adds:
     elif option.choices:
         given["type"] = click.Choice(option.choices)
     elif isinstance(option.default, float):
-        given["type"] = FiniteRange(float(LEAST[name]))
+        given["type"] = FiniteRange(float(MINIMA[name]))
     return click.option(flag, **{**given, **other})
 
 

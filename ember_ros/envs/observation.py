@@ -23,7 +23,7 @@ KNEE_PLAY = 0.5
 """Beyond its stops to which a knee is sensed, rad: Bullet's are soft."""
 MOST_SPEED = 200.0
 """Of a joint, rad/s: the most that ``leg.knee_speeds`` can ask for."""
-MOST_LOADS = 100.0
+MAX_LOADS = 100.0
 """Force of a foot, in ``leg.load``."""
 MOST_SLIP = 1.0
 """In a tick, m."""
@@ -41,7 +41,7 @@ class Sensor(NamedTuple):
 
 def sensors_of(params: Params) -> tuple[Sensor, ...]:
     """Return the numbers of a senses observation in their order, with units and bounds."""
-    load = MOST_LOADS * params.leg.load
+    load = MAX_LOADS * params.leg.load
     return (
         Sensor("hip", "rad", -math.pi, math.pi),
         Sensor("knee", "rad", -KNEE_PLAY, params.leg.knee_max + KNEE_PLAY),

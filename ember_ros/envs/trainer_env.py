@@ -13,7 +13,7 @@ from ember_ros.envs.observation import make_observation
 from ember_ros.envs.robot import SteppedRobot, metadata_of
 from ember_ros.errors import ParameterError
 from ember_ros.params import Params
-from ember_ros.run_config import MOST
+from ember_ros.run_config import MAX_INTEGER
 from ember_ros.signals import BodyState
 
 
@@ -98,7 +98,7 @@ class TrainerEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
     ) -> tuple[Any, dict[str, Any]]:
         """Begin at tick 0; there are no options."""
         super().reset(seed=seed)
-        self._robot.begin(int(self.np_random.integers(MOST)) if seed is None else seed)
+        self._robot.begin(int(self.np_random.integers(MAX_INTEGER)) if seed is None else seed)
         return self._observation.of(self._robot.seen[0]), self._robot.info(0)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:

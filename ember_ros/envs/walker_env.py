@@ -15,7 +15,7 @@ from ember_ros.envs.observation import make_observation
 from ember_ros.envs.robot import SteppedRobot, metadata_of
 from ember_ros.errors import ParameterError, shown
 from ember_ros.params import Params
-from ember_ros.run_config import MOST
+from ember_ros.run_config import MAX_INTEGER
 from ember_ros.signals import BodyState
 
 PerAgent = dict[str, Any]
@@ -107,7 +107,7 @@ class WalkerEnv(ParallelEnv):  # type: ignore[misc]
         """
         if seed is not None or self._rng is None:
             self._rng, _ = seeding.np_random(seed)
-        self._robot.begin(int(self._rng.integers(MOST)) if seed is None else seed)
+        self._robot.begin(int(self._rng.integers(MAX_INTEGER)) if seed is None else seed)
         self.agents = list(self.possible_agents)
         return self._observe(), self._infos()
 

@@ -25,13 +25,13 @@ DRAWER = WORLD + 1
 """Spawn key of the central learner's random numbers."""
 
 
-class _Told:
-    """A policy that does as it is told."""
+class _Given:
+    """A policy whose action is given from outside."""
 
     action = 0
 
     def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
-        """Return what was told."""
+        """Return the action that was given."""
         return self.action
 
 
@@ -48,10 +48,10 @@ class CentralLoop(Loop):
         self._rng = generator(config.seed, DRAWER)
         count = len(config.legs)
         self.joint = Table(self._ticks * 2**count, self._speeds**count)
-        self._told = [_Told() for _ in config.legs]
+        self._given = [_Given() for _ in config.legs]
         self.legs = [
-            make_leg(params, leg, stage=config.stage, policy=told, learning=False)
-            for leg, told in zip(config.legs, self._told, strict=True)
+            make_leg(params, leg, stage=config.stage, policy=given, learning=False)
+            for leg, given in zip(config.legs, self._given, strict=True)
         ]
         self._before: tuple[int, int] | None = None
 
@@ -91,6 +91,6 @@ class CentralLoop(Loop):
         self._learn(senses, state)
         joint = self._choose(state)
         self._before = state, joint
-        for told in self._told:
-            joint, told.action = divmod(joint, self._speeds)
+        for given in self._given:
+            joint, given.action = divmod(joint, self._speeds)
         super().tick(*observers)

@@ -47,8 +47,8 @@ class Row(NamedTuple):
     peak_force_n: float
     """Largest vertical force on a foot."""
     reward: float
-    """Mean over the cycle's ticks for which the leg said what it was paid, 0 where there is none; a
-    run's last tick is paid for by nobody."""
+    """Mean over the cycle's ticks that were credited, 0 where there is none; the last tick of a run is
+    not: what it was worth would be known one tick later."""
     contact_share: float | None
     """Share of stance ticks with the foot on the ground; None of a leg that says no stance."""
     duty_factor: float
@@ -74,13 +74,13 @@ class Row(NamedTuple):
 class _Sums:
     """One leg's sums over a cycle."""
 
-    __slots__ = ("contact", "down", "known", "paid", "peak", "slip", "stance", "terms")
+    __slots__ = ("contact", "credited", "down", "known", "peak", "slip", "stance", "terms")
 
     def __init__(self) -> None:
         self.peak = self.slip = 0.0
         self.contact = self.down = self.known = self.stance = 0
-        self.paid = 0
-        """Ticks for which a reward was said."""
+        self.credited = 0
+        """Ticks for which a reward was published."""
         self.terms: dict[str, float] = {}
         """The reward by term, added up over them."""
 
@@ -92,7 +92,7 @@ class _Sums:
 
     def reward(self) -> dict[str, float]:
         """Return the mean reward a tick, by term."""
-        return {name: total / self.paid for name, total in self.terms.items()}
+        return {name: total / self.credited for name, total in self.terms.items()}
 
 
 class RunStatistics:
@@ -152,22 +152,24 @@ class RunStatistics:
         body: BodyState,
         transitions: Sequence[Transition | None],
     ) -> None:
-        """Take one complete tick: what was sensed and paid at it, and what was commanded for it."""
+        """Take one complete tick: senses, commands, and transitions of the tick before."""
         if self._began is None:
             self._began = time.perf_counter()
         self._end_tick(senses, body, transitions, int(beat.phase))
         for sense, command in zip(senses, commands, strict=True):
             self._senses += _SENSE.pack(*sense)
             self._commands += _COMMAND.pack(*command) if command else _NO_COMMAND
-        for did in transitions:
-            self._transitions += _packed(did)
+        for transition in transitions:
+            self._transitions += _packed(transition)
         if None in commands:
             for leg, command in zip(self._legs, commands, strict=True):
                 self._absences[leg] += command is None
         self._poses.append(body)
         self.traces.extend((body.x, body.y, body.roll, body.pitch, self._yaw()))
         self._beat = beat
-        self._stances = [did.next_stance if did is not None else None for did in transitions]
+        self._stances = [
+            transition.next_stance if transition is not None else None for transition in transitions
+        ]
 
     def finish(self, senses: Sequence[LegSense], body: BodyState) -> None:
         """Take the senses after the last tick, end the last cycle, and close the file."""
@@ -197,10 +199,10 @@ class RunStatistics:
         if self._beat is None:
             return
         self._turns += round((before.yaw - body.yaw) / math.tau)  # it jumped where it passed pi
-        for sums, did in zip(self._sums, transitions, strict=True):
-            if did is not None and did.credited:
-                sums.paid += 1
-                for name, value in did.terms:
+        for sums, transition in zip(self._sums, transitions, strict=True):
+            if transition is not None and transition.credited:
+                sums.credited += 1
+                for name, value in transition.terms:
                     sums.terms[name] = sums.terms.get(name, 0.0) + value
         for sense, sums, stance in zip(senses, self._sums, self._stances, strict=True):
             if stance is not None:
@@ -345,13 +347,13 @@ def load_record(folder: Path) -> RunRecord:
     return RunRecord(rows, np.load(folder / TRACES, allow_pickle=False), measured)
 
 
-def _packed(did: Transition | None) -> bytes:
+def _packed(transition: Transition | None) -> bytes:
     """Return the bytes of a transition that are hashed."""
-    if did is None:
+    if transition is None:
         return b"\0"
-    values = [value for _, value in did.terms]
-    said = (*did[:4], did.next_state, did.next_stance, did.td_error)
-    return _TRANSITION.pack(*said) + struct.pack(f"<{len(values)}d", *values)
+    values = [value for _, value in transition.terms]
+    own = (*transition[:4], transition.next_state, transition.next_stance, transition.td_error)
+    return _TRANSITION.pack(*own) + struct.pack(f"<{len(values)}d", *values)
 
 
 def _mean(values: Iterable[float | None]) -> float | None:
