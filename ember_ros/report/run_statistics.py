@@ -47,8 +47,8 @@ class Row(NamedTuple):
     peak_force_n: float
     """Largest vertical force on a foot."""
     reward: float
-    """Mean over the cycle's ticks that were credited, 0 where there is none; the last tick of a run is
-    not: what it was worth would be known one tick later."""
+    """Mean over the cycle's ticks that were credited, 0 where there is none; the last tick of a run
+    is not: what it was worth would be known one tick later."""
     contact_share: float | None
     """Share of stance ticks with the foot on the ground; None of a leg that says no stance."""
     duty_factor: float
