@@ -124,6 +124,10 @@ class Trainer:
     modulation: float = num(0.0, "m", "standard deviation of the stop's height; 0: fixed", 0.0, 1.0)
     stop_low: float = num(0.37, "m", "least height of a modulated stop", 0.0, 10.0)
     stop_high: float = num(0.50, "m", "largest height of a modulated stop", 0.0, 10.0)
+    tip_radius: float = num(0.08, "m", "of the load at the tip, a sphere", 0.001, 10.0)
+    hinge_max: float = num(
+        1.0, "rad", "largest angle of the hinge, up; without stop also down", 0.1, 1.5
+    )
     stop_slew: float = num(0.003, "m/tick", "fastest change of the stop's height", 0.0, 1.0)
 
 

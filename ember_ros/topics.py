@@ -17,7 +17,7 @@ name                       type                        carries
 ``diagnostics``            diagnostic_msgs/            who is absent, what was refused
                            DiagnosticArray
 ``recorder/tick``          std_msgs/Int64              the last tick a recorder node heard
-``run/run_metadata``               std_msgs/String             in bags only: what determined the run
+``run/card``               std_msgs/String             in bags only: what determined the run
 ``run/values``             std_msgs/Float64MultiArray  in bags only: the table at the start
 ``run/visits``             std_msgs/Int64MultiArray    the same, how often each cell was visited
 ``run/crc``                std_msgs/UInt32MultiArray   in bags only: CRC-32 of each leg's senses

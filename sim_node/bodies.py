@@ -192,13 +192,14 @@ def trainer_urdf(params: Params) -> str:
     robot = ET.Element("robot", name="ember_trainer")
     half = trainer.bar_length / 2
     bar = _cylinder(0.02, half, at=(half / 2, 0.0, 0.0), turned=LYING)
-    weight = _sphere(0.08, at=(half, 0.0, 0.0), colour=GREY)
+    weight = _sphere(trainer.tip_radius, at=(half, 0.0, 0.0), colour=GREY)
     _link(robot, "stand", 1.0, (1.0, 1.0, 1.0))
     _joint(robot, "axle", "stand", "inner", ORIGIN, axis=(0, 0, 1))
     inner = _rod(trainer.inner_mass, half, "x")
     _link(robot, "inner", trainer.inner_mass, inner, (half / 2, 0.0, 0.0), [bar])
-    _joint(robot, "hinge", "inner", "outer", (half, 0.0, 0.0), axis=(0, -1, 0), limits=(-1, 1))
-    ball = (0.4 * trainer.tip_mass * 0.08**2,) * 3
+    limits = (-trainer.hinge_max, trainer.hinge_max)
+    _joint(robot, "hinge", "inner", "outer", (half, 0.0, 0.0), axis=(0, -1, 0), limits=limits)
+    ball = (0.4 * trainer.tip_mass * trainer.tip_radius**2,) * 3
     _link(robot, "outer", trainer.tip_mass, ball, (half, 0.0, 0.0), [bar, weight])
     _add_leg(robot, params.leg, TRAINER_LEG, "outer", (half, 0.0, 0.0), ACROSS)
     return _to_xml(robot)

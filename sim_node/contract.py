@@ -94,7 +94,8 @@ def check_beginning(make: Make, params: Params) -> None:
     )
     _hold({sense.tick for sense in senses} == {0}, "the first senses are not of tick 0")
     _hold(
-        not any(sense.first_tick for sense in senses), "restart is set at tick 0, before any fall"
+        not any(sense.first_tick for sense in senses),
+        "first_tick is set at tick 0, before any fall",
     )
     _hold(world.body().falls == 0, "falls are counted before the first tick")
     _hold(not world.over, "over is set before the first tick")
@@ -127,8 +128,8 @@ def check_ticks(make: Make, params: Params) -> None:
         marked = {sense.first_tick for sense in senses}
         _hold(
             marked == {after.falls > before.falls},
-            f"tick {tick}: falls went from {before.falls} to {after.falls}, restart is {marked}; "
-            "it is set on all legs after a fall, and on none otherwise",
+            f"tick {tick}: falls went from {before.falls} to {after.falls}, first_tick is "
+            f"{marked}; it is set on all legs after a fall, and on none otherwise",
         )
     world.close()
 

@@ -96,7 +96,7 @@ class TrainerWorld(BulletWorld):
             self._robot,
             self._joints["hinge"],
             jointLowerLimit=self._angle(height),
-            jointUpperLimit=1.0,
+            jointUpperLimit=self.params.trainer.hinge_max,
             physicsClientId=self._client,
         )
 

@@ -595,7 +595,7 @@ def test_a_disk_that_has_no_room_for_the_metadata(tmp_path: Path) -> None:
 FULL = """
 import json, resource, signal, sys
 from pathlib import Path
-from ember_ros.bag.storage import BagOptions, BagWriter
+from ember_ros.bag.storage import BagOptions, McapWriter
 from ember_ros.errors import BagError
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -607,7 +607,7 @@ def full(bytes):
 
 said = []
 try:
-    writer = BagWriter(BagOptions(Path(folder)))
+    writer = McapWriter(BagOptions(Path(folder)))
     for n, (topic, kind, ns, data) in enumerate(texts):
         writer.write(writer.channel(topic, kind), ns, bytes.fromhex(data))
         if n % 10 == 9:

@@ -82,7 +82,7 @@ GOLDEN: dict[str, dict[str, str]] = {
 TRAINED = {
     "senses": "4a52b8d5e272d394bda36c38adeca91acb94a47587aefc97e545f0af6a582001",
     "commands": "149c54b6deb87e2078668e1dbcb23b7c59ddcd6fb3234c13c44fde938da573b1",
-    "transitions": "b4d5f1ea01d8dfa764c785a2be89de159ebb388c97f2d3e65c72447d505bb5cb",
+    "transitions": "99b6528fca91e0f97cbb6b366964696d31b78aae765753058731f940f59e5aa2",
     "table": "8d674fbd9975f4f45262590588b89aae1d6e84bc390b67f0cc31b14714aed21a",
 }
 

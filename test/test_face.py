@@ -226,7 +226,7 @@ def columns(run: er.Run) -> dict[str, tuple[np.ndarray[Any, Any], tuple[int, ...
 def test_every_array_has_its_shape_and_type_and_keeps_it(cycles: int) -> None:
     """(ticks, legs) or (ticks,), of 64 bits or bool, and read-only; without a tick as well."""
     whole = {"states", "actions", "body.falls"}
-    truths = {"senses.hair", "senses.contact", "senses.restart", "credited", "stances"}
+    truths = {"senses.hair", "senses.contact", "senses.first_tick", "credited", "stances"}
     done = walked(cycles)
     assert len(done.legs) == 4
     for name, (values, shape) in columns(done).items():

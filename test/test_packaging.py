@@ -317,6 +317,8 @@ def test_the_wheel_has_what_python_and_ros_look_for(
         told = wheel.read(f"{named}.dist-info/METADATA").decode()
     prefix, own = f"{named}.data/data/", f"{named}.dist-info/"
     modules = {path.relative_to(ROOT).as_posix() for path in in_site_packages(pyproject)}
+    bags = ROOT / "bags"
+    modules |= {f"ember_ros/data/{each.relative_to(bags)}" for each in files_below(bags)}
     assert {name for name in found if not name.startswith((prefix, own))} == modules
     assert {f"{name}/py.typed" for name in top_packages(pyproject)} <= modules
     assert {"ember_ros/data/trained.npz", "ember_ros/data/walk/metadata.yaml"} <= modules

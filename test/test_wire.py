@@ -449,7 +449,7 @@ def test_our_own_layout_does_not_let_bad_numbers_pass(
     _, contact = senses_wire.pack(with_one(sense, name, bad))
     with pytest.raises(SignalError, match=r"^leg/contact: .*(position|effort)"):
         senses_wire.read_contact(contact)
-    name = ("hair", "contact", "restart")[field % 3]
+    name = ("hair", "contact", "first_tick")[field % 3]
     _, contact = senses_wire.pack(with_one(sense, name, 2))
     with pytest.raises(SignalError, match=r"^leg/contact: (hair|touch|restart) is 2"):
         senses_wire.read_contact(contact)

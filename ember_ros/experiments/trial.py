@@ -61,7 +61,6 @@ DECIDES = (
     ),
     *("cpg_node.cpg", "leg_node.assembly", "leg_node.discretizer", "leg_node.gait"),
     *("leg_node.learner", "leg_node.module", "leg_node.policy", "leg_node.reward"),
-    "leg_node.sarsa",
     *("leg_node.shared", "leg_node.table", "leg_node.task", "leg_node.value"),
     *(
         "sim_node.bodies",
