@@ -1,7 +1,8 @@
 """PPO beside our Q-learning, seed by seed: the same senses, actions, reward and discount.
 
 PPO sees the senses as numbers, Q-learning its 17 x 8 x 8 x 2 x 2 states. Both learn on the trainer,
-then carry the body: frozen, and learning on. Writes ppo.json and ppo.md; half an hour of CPU:
+then carry the body: frozen, and learning on. PPO has as many strides as Q-learning; --strides gives
+it more. Writes ppo.json and ppo.md; half an hour of CPU:
 
     nice python examples/ppo_against_q.py --out docs/results
 """
@@ -153,7 +154,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--target", type=float, default=0.43, help="m a stride, of `ember train`")
-    parser.add_argument("--strides", type=int, default=100_000, help="of PPO, at most")
+    parser.add_argument("--strides", type=int, default=6000, help="of PPO, at most")
     parser.add_argument("--q-strides", type=int, default=6000, help="of Q-learning, all of them")
     parser.add_argument("--walk-strides", type=int, default=500, help="on the body, learning")
     parser.add_argument("--frozen-strides", type=int, default=200, help="on the body, frozen")

@@ -53,6 +53,7 @@ class UntilItWalks(BaseCallback):  # type: ignore[misc]
             self.curve.append(
                 {"strides": strides, "wall_s": wall, "cpu_s": self.cpu, **walked._asdict()}
             )
+            print(f"  {self.world}, {strides} strides: {walked.m:.3f} m a stride", flush=True)
             self.reached = walked.m >= self.target and not walked.falls
         self.paused += self._now() - before
 
