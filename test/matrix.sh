@@ -11,7 +11,7 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 unset PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 PURE="test/test_params.py test/test_params_files.py test/test_kinematics.py test/test_gait.py
-  test/test_policy.py test/test_reading.py test/test_shipped.py test/test_entry_points.py"
+  test/test_policy.py test/test_discretizer.py test/test_shipped.py test/test_entry_points.py"
 SHOWN="numpy click rich matplotlib pyyaml pybullet rosbags mcap scipy pytest hypothesis"
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
