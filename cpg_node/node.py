@@ -9,7 +9,7 @@ from typing import Any
 from rclpy.node import Node
 
 from cpg_node.cpg import Beats
-from ember_ros import parts, topics, wire
+from ember_ros import cdr, parts, topics, wire
 from ember_ros.errors import SignalError
 from ember_ros.inbox import Inbox
 from ember_ros.ros_params import declare_options, declare_params
@@ -69,7 +69,7 @@ class CpgNode(Seated, Node):  # type: ignore[misc]
 
     def _read_clock(self, data: bytes) -> tuple[int, None]:
         # A clock between two ticks tells of the one that has begun.
-        return wire.read_clock(data, topics.CLOCK.name) // self._tick_ns, None
+        return cdr.read_clock(data, topics.CLOCK.name) // self._tick_ns, None
 
     def _hear(self, source: str, data: bytes, read: Callable[[bytes], tuple[int, Any]]) -> None:
         try:

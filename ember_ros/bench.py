@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ember_ros import wire
+from ember_ros import cdr, wire
 from ember_ros.bag.storage import BagOptions
 from ember_ros.graph import Graph, processes
 from ember_ros.loop import Loop
@@ -244,7 +244,7 @@ def _conversion(config: RunConfig, tape: _Tape) -> float:
     began = time.perf_counter()
     beats = wire.BeatWire(gait.tick_ns)
     for beat, felt, asked, paid in tape.ticks:
-        ns = wire.read_clock(wire.pack_clock(felt[0].tick * gait.tick_ns), "clock")
+        ns = cdr.read_clock(cdr.pack_clock(felt[0].tick * gait.tick_ns), "clock")
         told = beats.pack(beat)
         beats.read(told)
         for sense_wire, command_wire, transition_wire, sense, command, did in zip(

@@ -15,11 +15,20 @@ from __future__ import annotations
 import itertools
 import math
 import struct
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from ember_ros import topics
-from ember_ros.errors import ParameterError, SignalError
+from ember_ros.cdr import (
+    ENCAPSULATION,
+    NS_PER_S,
+    Bytes,
+    append_string,
+    deserialize,
+    joint_names,
+    pad,
+)
+from ember_ros.errors import SignalError
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 
 JOINTS = ("hip", "knee")
@@ -32,31 +41,6 @@ credit, bits as 0 or 1, and an error in units of the reward; every weighted term
 follows by its own name."""
 OLDER_TRANSITION = ("stance", "state", "action")
 """What it named first before it told of the tick that begins: of older bags, and not read."""
-GIGA = 1_000_000_000
-CDR = b"\x00\x01\x00\x00"
-"""The four bytes before every message: plain CDR, little endian."""
-
-Bytes = bytes | bytearray | memoryview
-
-
-def set_stamp(stamp: Any, ns: int) -> None:
-    """Write ns into a stamp."""
-    stamp.sec, stamp.nanosec = divmod(ns, GIGA)
-
-
-def _deserialize(data: Bytes, kind: str, where: str) -> Any:
-    try:
-        from rclpy.serialization import deserialize_message
-    except ModuleNotFoundError as error:
-        raise ParameterError(
-            f"{where}: the message is laid out as others do it, and only ROS 2 reads that: "
-            "`pip install 'ember_ros[ros]'`, or source an installed Jazzy"
-        ) from error
-    try:
-        return deserialize_message(bytes(data), topics.class_of(kind))
-    except Exception as error:  # rclpy raises its own RCLError and RuntimeError
-        name = kind.rpartition("/")[2]
-        raise SignalError(f"{where}: {len(data)} bytes are no {name}") from error
 
 
 def tick_of(ns: int, tick_ns: int, where: str) -> int:
@@ -76,29 +60,7 @@ def tick_of(ns: int, tick_ns: int, where: str) -> int:
 
 # -- clock, and the phase of older bags -------------------------------------------------------
 
-_CLOCK = struct.Struct("<4siI")
 _BARE_PHASE = struct.Struct("<4sd")
-
-
-def pack_clock(ns: int) -> bytes:
-    """Return a rosgraph_msgs/Clock."""
-    return _CLOCK.pack(CDR, *divmod(ns, GIGA))
-
-
-def read_clock(data: Bytes, where: str) -> int:
-    """Return the time in a rosgraph_msgs/Clock, ns.
-
-    Raises:
-        SignalError: it is no clock, or before the start.
-    """
-    if len(data) == _CLOCK.size and data[:4] == CDR:
-        _, sec, nanosec = _CLOCK.unpack(data)
-    else:
-        clock = _deserialize(data, topics.CLOCK.kind, where).clock
-        sec, nanosec = clock.sec, clock.nanosec
-    if sec < 0:
-        raise SignalError(f"{where}: {sec} s is before the start")
-    return int(sec * GIGA + nanosec)
 
 
 def read_bare_phase(data: Bytes, ticks: int, where: str) -> Beat:
@@ -107,10 +69,10 @@ def read_bare_phase(data: Bytes, ticks: int, where: str) -> Beat:
     Raises:
         SignalError: it is not finite, under 0, or between ticks.
     """
-    if len(data) == _BARE_PHASE.size and data[:4] == CDR:
+    if len(data) == _BARE_PHASE.size and data[:4] == ENCAPSULATION:
         _, phase = _BARE_PHASE.unpack(data)
     else:
-        phase = _deserialize(data, topics.BARE_PHASE.kind, where).data
+        phase = deserialize(data, topics.BARE_PHASE.kind, where).data
     tick = phase * ticks
     if not 0.0 <= tick < 2.0**53 or tick != int(tick):
         raise SignalError(f"{where}: {phase!r} is no phase; a multiple of 1/{ticks} from 0 up is")
@@ -118,17 +80,6 @@ def read_bare_phase(data: Bytes, ticks: int, where: str) -> Beat:
 
 
 # -- joint states ----------------------------------------------------------------------------
-
-
-def _padded(data: bytes, size: int) -> bytes:
-    """Return data filled with zeros to a multiple of ``size``: CDR aligns every number."""
-    return data + bytes(-len(data) % size)
-
-
-def _string(data: bytes, text: str) -> bytes:
-    """Return data with a CDR string behind it."""
-    coded = text.encode() + b"\0"
-    return _padded(data, 4) + struct.pack("<I", len(coded)) + coded
 
 
 class Stamped(NamedTuple):
@@ -167,16 +118,16 @@ class JointWire:
         self.names, self.first, self.second = list(names), first, second
         n = len(self.names)
         # Offsets count from behind the encapsulation; the stamp's 8 bytes come first.
-        data = _string(bytes(8), frame)
-        data = _padded(data, 4) + struct.pack("<I", n)
+        data = append_string(bytes(8), frame)
+        data = pad(data, 4) + struct.pack("<I", n)
         for name in names:
-            data = _string(data, name)
+            data = append_string(data, name)
         form, constants, done = "<4siI", [], 8
         for field in self.FIELDS:
             used = field in (first, second)
-            data = _padded(data, 4) + struct.pack("<I", n if used else 0)
+            data = pad(data, 4) + struct.pack("<I", n if used else 0)
             if used:
-                data = _padded(data, 8)
+                data = pad(data, 8)
                 constants.append(data[done:])
                 form += f"{len(constants[-1])}s{n}d"
                 data += bytes(8 * n)
@@ -190,7 +141,13 @@ class JointWire:
     def pack(self, ns: int, first: Sequence[float], second: Sequence[float] = ()) -> bytes:
         """Return the message with a stamp of ``ns`` and these numbers, one a name."""
         return self._struct.pack(
-            CDR, *divmod(ns, GIGA), self._between, *first, *self._behind, *second, self._rest
+            ENCAPSULATION,
+            *divmod(ns, NS_PER_S),
+            self._between,
+            *first,
+            *self._behind,
+            *second,
+            self._rest,
         )
 
     def read(self, data: Bytes, where: str) -> Stamped:
@@ -207,12 +164,14 @@ class JointWire:
         if len(data) == self._struct.size:
             parts = self._struct.unpack(data)
             if (
-                parts[0] == CDR
+                parts[0] == ENCAPSULATION
                 and parts[3] == self._between
                 and parts[4 + n : 4 + n + len(self._behind)] == self._behind
                 and parts[-1] == self._rest
             ):
-                stamped = Stamped(parts[1] * GIGA + parts[2], parts[4 : 4 + n], parts[5 + n : -1])
+                stamped = Stamped(
+                    parts[1] * NS_PER_S + parts[2], parts[4 : 4 + n], parts[5 + n : -1]
+                )
                 total = sum(stamped.first) + sum(stamped.second)
                 if total - total == 0.0:
                     return stamped
@@ -220,7 +179,7 @@ class JointWire:
 
     def _read_slowly(self, data: Bytes, where: str) -> Stamped:
         """Read a message that others made, or say what is wrong with it."""
-        message = _deserialize(data, topics.JOINT_STATE, where)
+        message = deserialize(data, topics.JOINT_STATE, where)
         names = list(message.name)
         if missing := [name for name in self.names if names.count(name) != 1]:
             raise SignalError(
@@ -244,7 +203,7 @@ class JointWire:
                     f"{where}: {field} {list(numbers[-1])} is not finite: {self.MEANS[field]}"
                 )
         stamp = message.header.stamp
-        return Stamped(stamp.sec * GIGA + stamp.nanosec, *numbers)
+        return Stamped(stamp.sec * NS_PER_S + stamp.nanosec, *numbers)
 
 
 class BeatWire:
@@ -412,7 +371,7 @@ class TransitionWire:
     @staticmethod
     def _terms(data: Bytes, where: str) -> list[str]:
         """Return the names of the terms in a message."""
-        names = list(_names(data, where))
+        names = list(joint_names(data, where))
         if tuple(names[: len(TRANSITION)]) != TRANSITION:
             raise SignalError(
                 f"{where}: names {names[:8]}; {list(TRANSITION)} and the reward's terms would be "
@@ -424,64 +383,15 @@ class TransitionWire:
 def is_older_transition(data: Bytes) -> bool:
     """Return whether a message is a ``<leg>/transition`` as it was laid out before."""
     try:
-        return tuple(itertools.islice(_names(data, ""), 3)) == OLDER_TRANSITION
+        return tuple(itertools.islice(joint_names(data, ""), 3)) == OLDER_TRANSITION
     except SignalError:
         return False
 
 
-def _names(data: Bytes, where: str) -> Iterator[str]:
-    """Yield the names in a sensor_msgs/JointState of plain little-endian CDR.
-
-    Raises:
-        SignalError: it is none.
-    """
-    content, at = bytes(data[4:]), 8
-    try:
-        if data[:4] != CDR:
-            raise ValueError
-        (length,) = struct.unpack_from("<I", content, at)
-        at += 4 + length
-        at += -at % 4
-        (count,) = struct.unpack_from("<I", content, at)
-        at += 4
-        for _ in range(count):
-            at += -at % 4
-            (length,) = struct.unpack_from("<I", content, at)
-            at += 4 + length
-            if at > len(content):
-                raise ValueError
-            yield content[at - length : at].decode().removesuffix("\0")
-    except (struct.error, ValueError) as error:
-        raise SignalError(f"{where}: {len(content)} bytes are no plain JointState") from error
-
-
 # -- the body --------------------------------------------------------------------------------
 
-_INT = struct.Struct("<4sq")
-
-
-def pack_int(number: int) -> bytes:
-    """Return a std_msgs/Int64."""
-    return _INT.pack(CDR, number)
-
-
-def read_int(data: Bytes, where: str, least: int = 0) -> int:
-    """Return the number in a std_msgs/Int64.
-
-    Raises:
-        SignalError: it is none, or under ``least``.
-    """
-    if len(data) == _INT.size and data[:4] == CDR:
-        number = int(_INT.unpack(data)[1])
-    else:
-        number = int(_deserialize(data, topics.FALLS.kind, where).data)
-    if number < least:
-        raise SignalError(f"{where}: {number}; {least} or more would be right")
-    return number
-
-
 # Frames as in REP 105, but for a body that is no vehicle's base; no covariance, no twist is known.
-_FRAMES = _padded(_string(_string(bytes(8), "odom"), "body"), 8)[8:]
+_FRAMES = pad(append_string(append_string(bytes(8), "odom"), "body"), 8)[8:]
 _UNKNOWN = bytes(8 * (36 + 6 + 36))
 _ODOMETRY = struct.Struct(f"<4siI{len(_FRAMES)}s7d{len(_UNKNOWN)}s")
 
@@ -490,7 +400,7 @@ def pack_odometry(ns: int, body: BodyState) -> bytes:
     """Return a nav_msgs/Odometry with the body's pose."""
     turn = quaternion(body.roll, body.pitch, body.yaw)
     return _ODOMETRY.pack(
-        CDR, *divmod(ns, GIGA), _FRAMES, body.x, body.y, body.height, *turn, _UNKNOWN
+        ENCAPSULATION, *divmod(ns, NS_PER_S), _FRAMES, body.x, body.y, body.height, *turn, _UNKNOWN
     )
 
 
@@ -501,110 +411,21 @@ def read_odometry(data: Bytes, where: str) -> tuple[int, tuple[float, ...]]:
         SignalError: it is none, or not finite.
     """
     pose: tuple[float, ...]
-    if len(data) == _ODOMETRY.size and data[:4] == CDR and data[12 : 12 + len(_FRAMES)] == _FRAMES:
+    if (
+        len(data) == _ODOMETRY.size
+        and data[:4] == ENCAPSULATION
+        and data[12 : 12 + len(_FRAMES)] == _FRAMES
+    ):
         parts = _ODOMETRY.unpack(data)
-        ns, pose = parts[1] * GIGA + parts[2], parts[4:11]
+        ns, pose = parts[1] * NS_PER_S + parts[2], parts[4:11]
     else:
-        message = _deserialize(data, topics.ODOMETRY.kind, where)
+        message = deserialize(data, topics.ODOMETRY.kind, where)
         stamp, at = message.header.stamp, message.pose.pose.position
-        ns, turn = stamp.sec * GIGA + stamp.nanosec, message.pose.pose.orientation
+        ns, turn = stamp.sec * NS_PER_S + stamp.nanosec, message.pose.pose.orientation
         pose = at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w
     if not all(map(math.isfinite, pose)):
         raise SignalError(f"{where}: pose {pose} is not finite")
     return ns, (*pose[:3], *euler(*pose[3:]))
-
-
-# -- what only bags carry --------------------------------------------------------------------
-
-
-def pack_text(text: str) -> bytes:
-    """Return a std_msgs/String."""
-    return CDR + _string(b"", text)
-
-
-def read_text(data: Bytes, where: str) -> str:
-    """Return the text in a std_msgs/String.
-
-    Raises:
-        SignalError: it is none.
-    """
-    data = bytes(data)
-    if data[:4] != CDR or len(data) < 8:
-        raise SignalError(f"{where}: {len(data)} bytes are no String")
-    (length,) = struct.unpack_from("<I", data, 4)
-    try:
-        return data[8 : 8 + length].decode().removesuffix("\0")
-    except UnicodeDecodeError as error:
-        raise SignalError(f"{where}: the text is no UTF-8") from error
-
-
-MAX_DIMENSIONS = 4
-_WIDTHS = {"d": 8, "q": 8, "I": 4}
-
-
-def pack_array(
-    code: str, labels: Sequence[str], shape: Sequence[int], numbers: bytes, offset: int = 0
-) -> bytes:
-    """Return a std_msgs/Float64MultiArray, Int64MultiArray or UInt32MultiArray.
-
-    Args:
-        code: of a number, as ``struct`` names it: ``d``, ``q`` or ``I``.
-        labels: of the dimensions.
-        shape: their sizes; strides are as std_msgs wants them, row-major.
-        numbers: all, little endian; ``offset`` of them stand before the array.
-        offset: ``layout.data_offset``.
-    """
-    data = struct.pack("<I", len(shape))
-    for n, (label, size) in enumerate(zip(labels, shape, strict=True)):
-        data = _padded(_string(data, label), 4)
-        data += struct.pack("<II", size, math.prod(shape[n:]))
-    data += struct.pack("<II", offset, len(numbers) // _WIDTHS[code])
-    return CDR + _padded(data, _WIDTHS[code]) + numbers
-
-
-def read_array(data: Bytes, code: str, where: str) -> tuple[tuple[int, ...], bytes, bytes]:
-    """Return the shape, the numbers before the array, and those of the array, little endian.
-
-    Raises:
-        SignalError: it is no such array.
-    """
-    data, width = bytes(data)[4:] if data[:4] == CDR else b"", _WIDTHS[code]
-    try:
-        (dims,) = struct.unpack_from("<I", data, 0)
-        at, shape = 4, []
-        for _ in range(min(dims, MAX_DIMENSIONS + 1)):
-            (length,) = struct.unpack_from("<I", data, at)
-            at += 4 + length
-            at += -at % 4
-            shape.append(struct.unpack_from("<II", data, at)[0])
-            at += 8
-        offset, count = struct.unpack_from("<II", data, at)
-        at += 8
-        at += -at % width
-    except struct.error as error:
-        raise SignalError(f"{where}: {len(data)} bytes are no array") from error
-    if dims > MAX_DIMENSIONS:
-        raise SignalError(
-            f"{where}: an array of {dims} dimensions; up to {MAX_DIMENSIONS} would be right"
-        )
-    numbers = data[at : at + width * count]
-    if len(numbers) != width * count or count != offset + math.prod(shape):
-        raise SignalError(
-            f"{where}: {len(numbers) // width} numbers; {offset} and {shape} would be right"
-        )
-    return tuple(shape), numbers[: width * offset], numbers[width * offset :]
-
-
-def stamp_of(data: Bytes, where: str) -> int:
-    """Return the stamp, ns, of any message that begins with a std_msgs/Header.
-
-    Raises:
-        SignalError: it is too short, or not plain little-endian CDR.
-    """
-    if len(data) < _CLOCK.size or data[:4] != CDR:
-        raise SignalError(f"{where}: {len(data)} bytes have no stamp in plain little-endian CDR")
-    _, sec, nanosec = _CLOCK.unpack_from(data)
-    return int(sec * GIGA + nanosec)
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:

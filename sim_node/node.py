@@ -11,7 +11,7 @@ from typing import Any
 
 from rclpy.node import Node
 
-from ember_ros import topics, wire
+from ember_ros import cdr, topics, wire
 from ember_ros.bag.storage import BagOptions
 from ember_ros.errors import BagError, ParameterError, SignalError
 from ember_ros.observer import Observer
@@ -232,7 +232,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
             joints_data, contact_data = senses.pack(sense)
             joints.publish(joints_data)
             contact.publish(contact_data)
-        self._clock_publisher.publish(wire.pack_clock(self._tick * self._tick_ns))
+        self._clock_publisher.publish(cdr.pack_clock(self._tick * self._tick_ns))
         self._body.publish(self._tick, self.world.body())
         if self._tick % self._ticks == 0:
             self._diagnose()

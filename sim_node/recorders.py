@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from rclpy.node import Node
 
-from ember_ros import topics, wire
+from ember_ros import cdr, topics
 from ember_ros.bag.metadata_client import MetadataClient
 from ember_ros.bag.run_writer import RunWriter
 from ember_ros.bag.storage import BagOptions
@@ -106,7 +106,7 @@ class RecorderLink:
 
     def _on_tick(self, data: bytes) -> None:
         try:
-            self.tick = wire.read_int(data, topics.RECORDED.name, -1)
+            self.tick = cdr.read_int(data, topics.RECORDED.name, -1)
         except SignalError as why:
             self._refuse(why)
             return

@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from ember_ros import topics, wire
+from ember_ros import cdr, topics, wire
 from ember_ros.signals import BodyState
 from ember_ros.throttle import SAY_S
 
@@ -38,7 +38,7 @@ class BodyPublisher:
                     f"fall {body.falls} in cycle {tick // self._ticks}; put back on its feet"
                 )
             self._falls = body.falls
-            self._falls_publisher.publish(wire.pack_int(body.falls))
+            self._falls_publisher.publish(cdr.pack_int(body.falls))
         self._odometry.publish(wire.pack_odometry(tick * self._tick_ns, body))
 
 
@@ -63,7 +63,7 @@ class Diagnostics:
             stuck: why the world stands still; None where it goes on.
         """
         message = DiagnosticArray()
-        wire.set_stamp(message.header.stamp, tick * self._tick_ns)
+        cdr.set_stamp(message.header.stamp, tick * self._tick_ns)
         message.status = [
             DiagnosticStatus(
                 name="sim_node",

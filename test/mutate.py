@@ -35,7 +35,7 @@ import lz4.frame
 import yaml
 import zstandard
 
-from ember_ros import topics, wire
+from ember_ros import cdr, topics
 from ember_ros.bag.inspection import info
 from ember_ros.bag.reader import Bag
 from ember_ros.bag.repair import repair
@@ -668,11 +668,11 @@ def change_card(folder: Path, rng: Rng) -> None:
         for raw in raws:
             data = raw.data
             if chosen == "card" and raw.topic == "/" + topics.RUN_METADATA.name:
-                text = change_json(wire.read_text(data, "card"), rng)
+                text = change_json(cdr.read_text(data, "card"), rng)
                 if rng.random() < 0.5:
                     text = hashed(text)
                 coded = text.encode(errors="surrogatepass") + b"\0"
-                data = wire.CDR + struct.pack("<I", len(coded)) + coded
+                data = cdr.ENCAPSULATION + struct.pack("<I", len(coded)) + coded
                 if rng.random() < 0.1:
                     data = change_bytes(data, rng)
             elif raw.topic == "/" + chosen:

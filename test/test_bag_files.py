@@ -38,7 +38,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
-from ember_ros import topics, wire
+from ember_ros import cdr, topics
 from ember_ros.bag import run_writer as recording_module
 from ember_ros.bag import storage as storage_module
 from ember_ros.bag.reader import Bag
@@ -106,7 +106,7 @@ def put(writer: McapWriter, message: Written) -> None:
 def text(n: int, characters: int = 2000) -> Written:
     """Return the n-th message of many that differ and cannot be compressed much."""
     words = hashlib.shake_128(b"%d" % n).hexdigest(characters // 2)
-    return Written(f"/said/{n % 3}", STRING, n * 1_000_000, wire.pack_text(words))
+    return Written(f"/said/{n % 3}", STRING, n * 1_000_000, cdr.pack_text(words))
 
 
 def files_of(folder: Path) -> list[Path]:
@@ -482,7 +482,7 @@ def test_closing_twice_is_once(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     with same_descriptors(), writing(folder) as writer:
         channel = writer.channel("/said", STRING)
-        writer.write(channel, 1, wire.pack_text("once"))
+        writer.write(channel, 1, cdr.pack_text("once"))
         writer.close({"fact": "kept"})
         before = tree(folder)
         writer.close({"fact": "lost"})
@@ -490,7 +490,7 @@ def test_closing_twice_is_once(tmp_path: Path) -> None:
         writer.begin_file()
         writer.abandon()
         with pytest.raises(BagError, match=r"bag is closed"):
-            writer.write(channel, 2, wire.pack_text("twice"))
+            writer.write(channel, 2, cdr.pack_text("twice"))
         with pytest.raises(BagError, match=r"bag is closed"):
             writer.channel("/new", STRING)
         assert tree(folder) == before
@@ -1477,7 +1477,7 @@ def test_repairing_the_bag_of_another_recorder(tmp_path: Path) -> None:
             schema = writer.register_schema(kind, "ros2msg", b"string data")
             channel = writer.register_channel(f"/{kind[:5]}", "cdr", schema)
             for n in range(3):
-                writer.add_message(channel, n, wire.pack_text(str(n)), n)
+                writer.add_message(channel, n, cdr.pack_text(str(n)), n)
             writer.flush()
     assert repair(folder).messages == 6
     with (folder / "bag_0.mcap").open("rb") as raw:
@@ -1486,7 +1486,7 @@ def test_repairing_the_bag_of_another_recorder(tmp_path: Path) -> None:
             (s.name, s.encoding, s.data, c.topic, m.data) for s, c, m in reader.iter_messages()
         ]
     assert sorted(found) == sorted(
-        (kind, "ros2msg", b"string data", f"/{kind[:5]}", wire.pack_text(str(n)))
+        (kind, "ros2msg", b"string data", f"/{kind[:5]}", cdr.pack_text(str(n)))
         for kind in (STRING, "robot_msgs/msg/Leg")
         for n in range(3)
     )

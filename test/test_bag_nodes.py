@@ -13,7 +13,7 @@ import pytest
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
-from ember_ros import topics, wire
+from ember_ros import cdr, topics, wire
 from ember_ros.bag import player_node, recorder_node
 from ember_ros.bag.metadata_client import MetadataClient
 from ember_ros.bag.player_node import PlayerNode
@@ -462,10 +462,10 @@ def test_one_message_of_another_time_ends_no_recording(
     said = voice.say(range(60))
     until_heard(ros, recorder, 59)
     ns = 59 * TICK_NS + seconds * 10**9
-    voice.publishers["/clock"].publish(wire.pack_clock(ns))
+    voice.publishers["/clock"].publish(cdr.pack_clock(ns))
     for topic in ("/cpg/phase", "/rear_left/command"):
         data = next(raw.data for raw in reversed(said) if raw.topic == topic)
-        voice.publishers[topic].publish(wire.pack_clock(ns) + data[12:])
+        voice.publishers[topic].publish(cdr.pack_clock(ns) + data[12:])
     said += voice.say(range(60, ALL))
     until_heard(ros, recorder, ALL - 1)
     assert not recorder.done

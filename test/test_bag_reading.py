@@ -22,7 +22,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ember_ros import topics, wire
+from ember_ros import cdr, topics, wire
 from ember_ros.bag import inspection
 from ember_ros.bag.reader import Bag, Raw, Tick
 from ember_ros.bag.run_metadata import FORMAT, LegMetadata, RunMetadata, read_run_metadata
@@ -1017,7 +1017,7 @@ def test_a_stamp_that_names_another_tick_is_found(
     tick, topic = 140 if seconds < 0 else 30, f"/leg/{part}"
     ns = tick * TICK_NS + seconds * 10**9
     _, data = longer.messages[topic, tick]
-    changed = data[:4] + wire.pack_clock(ns)[4:12] + data[12:]
+    changed = data[:4] + cdr.pack_clock(ns)[4:12] + data[12:]
     both = (longer.messages[f"/leg/{each}", tick][1] for each in ("joint_states", "contact"))
     file = longer.change({(topic, tick): changed})
     hold_found(file, topic, tick, "leg", crc_of(*both), ns // TICK_NS)
@@ -1048,10 +1048,10 @@ def test_an_error_in_a_bag_of_others_names_the_tick(messages: list[Raw], tmp_pat
     [
         b"",
         b"\0\1\0\0",
-        wire.pack_array("I", ("tick",), (4,), bytes(16)),
-        wire.pack_array("I", ("tick", "leg"), (2, 2), bytes(16)),
-        wire.pack_array("I", ("tick", "leg"), (16, 3), bytes(200), offset=2),
-        wire.pack_array("I", ("tick", "leg", "bit"), (16, 4, 1), bytes(264), offset=2),
+        cdr.pack_array("I", ("tick",), (4,), bytes(16)),
+        cdr.pack_array("I", ("tick", "leg"), (2, 2), bytes(16)),
+        cdr.pack_array("I", ("tick", "leg"), (16, 3), bytes(200), offset=2),
+        cdr.pack_array("I", ("tick", "leg", "bit"), (16, 4, 1), bytes(264), offset=2),
     ],
     ids=["nothing", "no array", "one dimension", "no first tick", "three legs", "more dimensions"],
 )
@@ -1160,8 +1160,8 @@ def _elsewhere(raw: Raw) -> Raw | None:
 def _later_card(raw: Raw) -> Raw:
     if raw.topic != "/run/card":
         return raw
-    content = {**json.loads(wire.read_text(raw.data, "")), "format": 2}
-    return raw._replace(data=wire.pack_text(json.dumps(content)))
+    content = {**json.loads(cdr.read_text(raw.data, "")), "format": 2}
+    return raw._replace(data=cdr.pack_text(json.dumps(content)))
 
 
 def _broken_card(raw: Raw) -> Raw:
@@ -1177,7 +1177,7 @@ def _bit_of(topic: str) -> Callable[[Raw], Raw]:
 
 
 def _short_table(raw: Raw) -> Raw:
-    data = wire.pack_array("d", ("state", "action"), (2, 2), bytes(32))
+    data = cdr.pack_array("d", ("state", "action"), (2, 2), bytes(32))
     return raw._replace(data=data) if raw.topic == "/run/values" else raw
 
 
@@ -1391,7 +1391,7 @@ def test_one_message_of_another_time_ends_nothing(
 ) -> None:
     """What follows it is read as ever; only its own tick goes without it."""
     at = 70
-    stamp = wire.pack_clock(at * TICK_NS + seconds * 10**9)
+    stamp = cdr.pack_clock(at * TICK_NS + seconds * 10**9)
     spoilt = [
         raw
         if (raw.topic, raw.ns) != (topic, at * TICK_NS)
@@ -1490,10 +1490,10 @@ def with_parts(messages: Sequence[Raw], bag: Path, **parts: str) -> Path:
     def change(raw: Raw) -> Raw:
         if raw.topic != "/run/card":
             return raw
-        content = json.loads(wire.read_text(raw.data, "card"))
+        content = json.loads(cdr.read_text(raw.data, "card"))
         content["params"]["parts"] |= parts
         content["params_sha256"] = digest(content["params"])
-        return raw._replace(data=wire.pack_text(json.dumps(content)))
+        return raw._replace(data=cdr.pack_text(json.dumps(content)))
 
     return write(bag, map(change, messages))
 
@@ -1519,8 +1519,8 @@ def test_who_looks_into_a_bag_runs_no_world_that_it_names(
     def change(raw: Raw) -> Raw:
         if raw.topic != "/run/card":
             return raw
-        content = json.loads(wire.read_text(raw.data, "card")) | {"world": path}
-        return raw._replace(data=wire.pack_text(json.dumps(content)))
+        content = json.loads(cdr.read_text(raw.data, "card")) | {"world": path}
+        return raw._replace(data=cdr.pack_text(json.dumps(content)))
 
     folder = write(tmp_path / "bag", map(change, messages))
     with Bag(folder) as opened, Bag(walked.bag) as ours:

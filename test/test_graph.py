@@ -16,7 +16,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import SetBool
 
-from ember_ros import topics, wire
+from ember_ros import cdr, topics, wire
 from ember_ros.errors import EmberError
 from ember_ros.graph import Graph
 from ember_ros.params import Params, cells_sha256
@@ -318,7 +318,7 @@ JOINTS, CONTACT, COMMAND = (
 PHASE = topics.PHASE.name
 HEARERS_OF_PHASE = (*LEG_NODES, *SIM)
 NAN = float("nan")
-BARE_PHASE = wire.CDR + struct.pack("<d", 0.5)
+BARE_PHASE = cdr.ENCAPSULATION + struct.pack("<d", 0.5)
 """What a CPG of before the stamp says."""
 SAYS: dict[str, tuple[tuple[str, ...], str, Callable[[Stranger], bytes]]] = {
     "joints not finite": (LEG, JOINTS, lambda s: s.joints(s.tick, knee=NAN)),

@@ -24,7 +24,7 @@ import yaml
 import zstandard
 
 import mutate
-from ember_ros import wire
+from ember_ros import cdr
 from ember_ros.bag import guard
 from ember_ros.bag.guard import load_yaml
 from ember_ros.bag.reader import Bag
@@ -337,7 +337,7 @@ def test_not_all_chunks_are_open_at_one_time(mcap: Path) -> None:
     """Whatever they say of their times."""
     noise = filled(9) + struct.pack("<BQ", 9, 1 << 18) + os.urandom(1 << 18)
     chunk = chunk_of(noise + filled(guard.MAX_BYTES // 2 + 1 - len(noise)))
-    message = struct.pack("<HIQQ", 1, 0, 2**60, 0) + wire.pack_clock(2**60)
+    message = struct.pack("<HIQQ", 1, 0, 2**60, 0) + cdr.pack_clock(2**60)
     late = chunk_of(noise + struct.pack("<BQ", 5, len(message)) + message, first=2**60)
     with_chunks(mcap, *[chunk] * 3)
     assert ticks_of(mcap) == mutate.TICKS
@@ -355,9 +355,9 @@ def test_not_all_chunks_are_open_at_one_time(mcap: Path) -> None:
 def test_an_array_of_many_dimensions_is_refused() -> None:
     """Before its sizes are multiplied."""
     dimension = struct.pack("<III", 0, 2**32 - 1, 0)
-    data = wire.CDR + struct.pack("<I", 100_000) + dimension * 100_000 + bytes(8)
+    data = cdr.ENCAPSULATION + struct.pack("<I", 100_000) + dimension * 100_000 + bytes(8)
     with pytest.raises(SignalError, match="100000 dimensions"):
-        wire.read_array(data, "I", "here")
+        cdr.read_array(data, "I", "here")
 
 
 def test_a_message_of_an_error_is_short_and_can_be_printed() -> None:

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from cpg_node.node import CpgNode
-from ember_ros import topics, wire
+from ember_ros import cdr, topics, wire
 from ember_ros.bag.recorder_node import RecorderNode
 from ember_ros.errors import EmberError, ParameterError, TableError
 from ember_ros.loop import Loop
@@ -451,7 +451,7 @@ def test_a_cpg_says_the_phase_of_every_clock_once(ros: Ros) -> None:
     clock = ros.publisher(topics.CLOCK)
     said: list[bytes] = []
     for tick in [0, 1, 2, 2, -1, 3, 32, 33, 0, 1]:
-        clock.publish(wire.pack_clock(tick * TICK_NS))
+        clock.publish(cdr.pack_clock(tick * TICK_NS))
         beat = wire.BeatWire(TICK_NS).pack(Beat(max(tick, 0), tick / 32))
         if tick >= 0 and beat not in said[-1:]:
             said.append(beat)

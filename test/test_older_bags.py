@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from ember_ros import topics, wire
+from ember_ros import cdr, topics, wire
 from ember_ros.bag import inspection
 from ember_ros.bag.run_metadata import NEUTRAL, RunMetadata, read_run_metadata
 from ember_ros.errors import BagError
@@ -71,7 +71,7 @@ def test_a_bag_of_two_kinds_of_phase_is_read_by_the_stamped_one(tmp_path: Path) 
     made = bags.record(tmp_path / "bag", small_plan(1))
     raws = bags.raws_of(made.bag)
     bare = [
-        raw._replace(kind=topics.BARE_PHASE.kind, data=wire.CDR + bytes(8))
+        raw._replace(kind=topics.BARE_PHASE.kind, data=cdr.ENCAPSULATION + bytes(8))
         for raw in raws
         if raw.topic == "/cpg/phase"
     ]

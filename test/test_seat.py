@@ -11,7 +11,7 @@ import pytest
 from rclpy.node import Node
 
 from cpg_node.node import CpgNode
-from ember_ros import seat, topics, wire
+from ember_ros import cdr, seat, topics
 from ember_ros.bag.player_node import PlayerNode
 from ember_ros.bag.reader import Bag
 from ember_ros.errors import BagError
@@ -199,7 +199,7 @@ def test_a_node_that_meets_a_stranger_ends_before_it_says_anything(
     """A CPG of another make: ours hears the clock and answers nothing."""
     phases = ros.messages(topics.PHASE, matched=False)
     ros.publisher(topics.PHASE, matched=False)
-    ros.publisher(topics.CLOCK, matched=False).publish(wire.pack_clock(0))
+    ros.publisher(topics.CLOCK, matched=False).publish(cdr.pack_clock(0))
     assert main_of(CpgNode, []) == TAKEN
     assert "error: /cpg/phase is taken by /onlooker" in capsys.readouterr().err
     ros.spin_once()

@@ -20,7 +20,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from ember_ros import wire
+from ember_ros import cdr, wire
 from ember_ros.errors import SignalError, UpdateError
 from ember_ros.params import TRAINER_LEG, Params, cells_sha256
 from ember_ros.signals import Beat, LegCommand, LegSense, TDUpdate, Transition
@@ -77,7 +77,7 @@ def exactly(value: Any) -> Any:
 
 def bare_phase(phase: float) -> bytes:
     """Return a std_msgs/Float64, as the phase travelled before it had a stamp."""
-    return wire.CDR + struct.pack("<d", phase)
+    return cdr.ENCAPSULATION + struct.pack("<d", phase)
 
 
 def read_sense(leg: str, joints: bytes, contact: bytes) -> LegSense:
@@ -218,11 +218,11 @@ def test_a_phase_without_a_stamp_names_its_tick_exactly(tick: int, per_cycle: in
 @given(st.integers(0, 2**31 * 10**9 - 1))
 def test_a_clock_survives_to_the_nanosecond(ns: int) -> None:
     """A time comes out of its message as it went in, by our reader and by rclpy's."""
-    data = wire.pack_clock(ns)
+    data = cdr.pack_clock(ns)
     clock = deserialize_message(data, Clock).clock
     assert clock.sec * 10**9 + clock.nanosec == ns
-    assert wire.read_clock(data, "clock") == ns
-    assert wire.read_clock(serialize_message(Clock(clock=clock)), "clock") == ns
+    assert cdr.read_clock(data, "clock") == ns
+    assert cdr.read_clock(serialize_message(Clock(clock=clock)), "clock") == ns
 
 
 # -- what is refused ---------------------------------------------------------------------------
@@ -476,10 +476,13 @@ def test_what_names_no_tick_is_no_phase_without_a_stamp(phase: float) -> None:
 def test_a_clock_before_the_start_is_refused() -> None:
     """Time begins at 0."""
     with pytest.raises(SignalError, match=r"^clock: -1 s is before the start"):
-        wire.read_clock(wire.pack_clock(-1), "clock")
+        cdr.read_clock(cdr.pack_clock(-1), "clock")
 
 
-@given(st.binary(max_size=200) | st.builds(lambda tail: wire.CDR + tail, st.binary(max_size=200)))
+@given(
+    st.binary(max_size=200)
+    | st.builds(lambda tail: cdr.ENCAPSULATION + tail, st.binary(max_size=200))
+)
 def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
     """Any bytes at all are read or refused with a SignalError: nothing else comes out of them."""
     senses_wire, commands_wire = wire.SenseWire("leg", TICK_NS), wire.CommandWire("leg", TICK_NS)
@@ -497,7 +500,7 @@ def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
         with pytest.raises(SignalError, match="bytes are no Float64"):
             wire.read_bare_phase(data, TICKS, "cpg/phase")
         with pytest.raises(SignalError, match="bytes are no Clock"):
-            wire.read_clock(data, "clock")
+            cdr.read_clock(data, "clock")
 
 
 @given(senses, st.data())

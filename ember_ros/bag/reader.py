@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ember_ros import topics, wire
+from ember_ros import cdr, topics, wire
 from ember_ros.bag.files import Connection, Files, files_of
 from ember_ros.bag.run_metadata import RunMetadata, read_run_metadata
 from ember_ros.bag.run_writer import absolute, crc_of
@@ -234,7 +234,7 @@ class Bag:
             return None, None
         where = f"{self.path}: {self._name(topics.RUN_METADATA)}"
         try:
-            run_metadata = read_run_metadata(wire.read_text(text, where), where)
+            run_metadata = read_run_metadata(cdr.read_text(text, where), where)
         except SignalError as error:
             raise BagError(str(error)) from error
         values, visits = self._one(topics.VALUES), self._one(topics.VISITS)
@@ -242,7 +242,7 @@ class Bag:
             return run_metadata, None
         try:
             (shape, _, learnt), (_, _, counts) = (
-                wire.read_array(data, code, where) for data, code in ((values, "d"), (visits, "q"))
+                cdr.read_array(data, code, where) for data, code in ((values, "d"), (visits, "q"))
             )
             # Of the size that is said, and not of what the card's parts would make: these may be
             # missing here, and whoever only looks into a bag runs no code that it names.
@@ -393,7 +393,7 @@ class Bag:
             return wire.tick_of(ns, tick_ns, odometry), pose
 
         def read_crc(data: bytes) -> tuple[int, Any]:
-            shape, before, numbers = wire.read_array(data, "I", crc)
+            shape, before, numbers = cdr.read_array(data, "I", crc)
             if shape[1:] != (len(self.legs),) or len(before) != 8 or shape[0] > LATE:
                 raise SignalError(
                     f"{crc}: an array of {shape}; (up to {LATE} ticks, {len(self.legs)}), and two "

@@ -17,7 +17,7 @@ from typing import Any
 
 from rclpy.node import Node
 
-from ember_ros import topics, wire
+from ember_ros import cdr, topics, wire
 from ember_ros.bag.metadata_client import MetadataClient
 from ember_ros.bag.run_writer import RunWriter, TickMessages, absolute
 from ember_ros.bag.storage import BagOptions, size_of
@@ -94,8 +94,8 @@ class _Ear:
         self._clocks += 1
         if self._clocks % TELL_TICKS == 0 and self._tick_ns:
             with contextlib.suppress(SignalError):
-                ns = wire.read_clock(clock, topics.CLOCK.name)
-                self._progress.publish(wire.pack_int(ns // self._tick_ns))
+                ns = cdr.read_clock(clock, topics.CLOCK.name)
+                self._progress.publish(cdr.pack_int(ns // self._tick_ns))
 
     # -- beginning ---------------------------------------------------------------------------
 
@@ -132,8 +132,8 @@ class _Ear:
             last = -1  # or, of a world that is running already, the tick that was heard last
             for name, data in self._heard:
                 if name == topics.CLOCK.name:
-                    last = wire.read_clock(data, name) // self._tick_ns
-            self._progress.publish(wire.pack_int(last))
+                    last = cdr.read_clock(data, name) // self._tick_ns
+            self._progress.publish(cdr.pack_int(last))
 
     def _begin(self) -> None:
         heard, self._heard = self._heard, []
@@ -174,12 +174,12 @@ class _Ear:
         self._tick_ns = tick_ns = params.gait.tick_ns
 
         def by_stamp(name: str) -> Callable[[bytes], int]:
-            return lambda data: wire.tick_of(wire.stamp_of(data, name), tick_ns, name)
+            return lambda data: wire.tick_of(cdr.stamp_of(data, name), tick_ns, name)
 
         names = [topic.name for topic in self._topics(list(self._legs))]
         self._readers = {name: by_stamp(name) for name in names}
         clock = topics.CLOCK.name
-        self._readers[clock] = lambda d: wire.tick_of(wire.read_clock(d, clock), tick_ns, clock)
+        self._readers[clock] = lambda d: wire.tick_of(cdr.read_clock(d, clock), tick_ns, clock)
         del self._readers[topics.FALLS.name]
         self._senses = {topics.contact(g).name: wire.SenseWire(g, tick_ns) for g in self._legs}
         # Who has no publisher when it begins is not waited for: a real leg has no odometry.
@@ -239,7 +239,7 @@ class _Ear:
         falls = self._falls.popleft() if self._falls and self._fell(found) else None
         if falls is not None:
             with contextlib.suppress(SignalError):  # whatever it says, it is recorded
-                self.fallen = wire.read_int(falls, topics.FALLS.name)
+                self.fallen = cdr.read_int(falls, topics.FALLS.name)
         self._first = False
         self.missing += len(self._window.parts - found.keys())
         self.missing += max(0, tick - self.last - 1) * len(self._window.parts) * (self.last >= 0)

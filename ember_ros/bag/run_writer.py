@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ember_ros import topics, wire
+from ember_ros import cdr, topics, wire
 from ember_ros.bag.run_metadata import RunMetadata
 from ember_ros.bag.writer_process import BagWriter
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
@@ -99,14 +99,14 @@ class RunWriter:
         self._crc = channel(topics.CRC)
 
         ns = run_metadata.first_tick * self._tick_ns
-        writer.write(channel(topics.RUN_METADATA), ns, wire.pack_text(run_metadata.to_json()))
+        writer.write(channel(topics.RUN_METADATA), ns, cdr.pack_text(run_metadata.to_json()))
         if table is not None:
             shape = (table.states, table.actions)
             for topic, code, numbers in (
                 (topics.VALUES, "d", table.values.astype("<f8")),
                 (topics.VISITS, "q", table.visits.astype("<i8")),
             ):
-                data = wire.pack_array(code, ("state", "action"), shape, numbers.tobytes())
+                data = cdr.pack_array(code, ("state", "action"), shape, numbers.tobytes())
                 writer.write(channel(topic), ns, data)
         writer.flush()
 
@@ -128,10 +128,10 @@ class RunWriter:
         felt = [
             sense_wire.pack(sense) for sense_wire, sense in zip(self._senses, senses, strict=True)
         ]
-        falls = None if body.falls == self._falls else wire.pack_int(body.falls)
+        falls = None if body.falls == self._falls else cdr.pack_int(body.falls)
         self._falls = body.falls
         told = TickMessages(
-            wire.pack_clock(ns),
+            cdr.pack_clock(ns),
             falls,
             wire.pack_odometry(ns, body),
             [joints for joints, _ in felt],
@@ -180,7 +180,7 @@ class RunWriter:
             return
         first = self._next - count
         numbers = np.array([first & 0xFFFFFFFF, first >> 32, *self._crcs], "<u4").tobytes()
-        data = wire.pack_array("I", ("tick", "leg"), (count, self._legs), numbers, offset=2)
+        data = cdr.pack_array("I", ("tick", "leg"), (count, self._legs), numbers, offset=2)
         self._writer.write(self._crc, (self._next - 1) * self._tick_ns, data)
         del self._crcs[:]
 
