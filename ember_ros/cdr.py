@@ -1,8 +1,8 @@
-"""CDR, byte for byte: its alignment, strings and stamps, and messages with one value or array.
+"""CDR byte by byte: alignment, strings, stamps, and messages of one value or array.
 
-The low-level half of ``ember_ros.wire``, which turns the robot's messages into signals. A message
-that is laid out as this file writes it is read with ``struct`` alone; any other layout goes through
-``deserialize``, the one function here that needs ROS.
+``ember_ros.wire`` builds on it to convert the robot's messages. A message with the layout that this
+file writes is read with ``struct``; any other layout goes through ``deserialize``, the only
+function here that needs ROS.
 
 Readers raise a ``SignalError`` that names what, where, and what would be right.
 """
@@ -19,7 +19,7 @@ from ember_ros.errors import ParameterError, SignalError
 
 NS_PER_S = 1_000_000_000
 ENCAPSULATION = b"\x00\x01\x00\x00"
-"""The four bytes before every message: plain CDR, little endian."""
+"""The first four bytes of every message: plain CDR, little endian."""
 
 Bytes = bytes | bytearray | memoryview
 
@@ -40,7 +40,7 @@ def deserialize(data: Bytes, kind: str, where: str) -> Any:
         from rclpy.serialization import deserialize_message
     except ModuleNotFoundError as error:
         raise ParameterError(
-            f"{where}: the message is laid out as others do it, and only ROS 2 reads that: "
+            f"{where}: the message has not the layout of ember_ros, and only ROS 2 reads others: "
             "`pip install 'ember_ros[ros]'`, or source an installed Jazzy"
         ) from error
     try:
@@ -62,7 +62,7 @@ def append_string(data: bytes, text: str) -> bytes:
 
 
 def set_stamp(stamp: Any, ns: int) -> None:
-    """Write ns into a stamp."""
+    """Set a message object's stamp to ``ns``."""
     stamp.sec, stamp.nanosec = divmod(ns, NS_PER_S)
 
 
@@ -82,7 +82,7 @@ def joint_names(data: Bytes, where: str) -> Iterator[str]:
     """Yield the names in a sensor_msgs/JointState of plain little-endian CDR.
 
     Raises:
-        SignalError: it is none.
+        SignalError: it is no such message.
     """
     content, at = bytes(data[4:]), 8
     try:
@@ -116,7 +116,7 @@ def read_clock(data: Bytes, where: str) -> int:
     """Return the time in a rosgraph_msgs/Clock, ns.
 
     Raises:
-        SignalError: it is no clock, or before the start.
+        SignalError: it is no Clock, or before the start.
     """
     if len(data) == _CLOCK.size and data[:4] == ENCAPSULATION:
         _, sec, nanosec = _CLOCK.unpack(data)
@@ -140,7 +140,7 @@ def read_int(data: Bytes, where: str, least: int = 0) -> int:
     """Return the number in a std_msgs/Int64.
 
     Raises:
-        SignalError: it is none, or under ``least``.
+        SignalError: it is no Int64, or less than ``least``.
     """
     if len(data) == _INT.size and data[:4] == ENCAPSULATION:
         number = int(_INT.unpack(data)[1])
@@ -160,7 +160,7 @@ def read_text(data: Bytes, where: str) -> str:
     """Return the text in a std_msgs/String.
 
     Raises:
-        SignalError: it is none.
+        SignalError: it is no String.
     """
     data = bytes(data)
     if data[:4] != ENCAPSULATION or len(data) < 8:
@@ -182,10 +182,10 @@ def pack_array(
     """Return a std_msgs/Float64MultiArray, Int64MultiArray or UInt32MultiArray.
 
     Args:
-        code: of a number, as ``struct`` names it: ``d``, ``q`` or ``I``.
+        code: ``struct``'s format of a number: ``d``, ``q`` or ``I``.
         labels: of the dimensions.
-        shape: their sizes; strides are as std_msgs wants them, row-major.
-        numbers: all, little endian; ``offset`` of them stand before the array.
+        shape: their sizes; the strides are row-major, as std_msgs defines them.
+        numbers: all, little endian; ``offset`` of them are before the array.
         offset: ``layout.data_offset``.
     """
     data = struct.pack("<I", len(shape))

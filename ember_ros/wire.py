@@ -1,13 +1,12 @@
-"""The only conversion between messages and signals. It changes no bit of any number.
+"""The only conversion between the robot's messages and signals. It changes no bit of any number.
 
-What is said every tick travels as bytes: publishers here write CDR themselves, subscriptions are
-raw, and a message that looks byte for byte as our own writers make it, numbers apart, is read with
-one ``struct`` call. That is four times as fast as filling and building message objects. Any other
-message of the same type, from ``ros2 topic pub`` or a real leg's driver, takes the way through
-rclpy's deserializer and is held to the same rules; nothing else here needs ROS.
+What is published every tick is packed and read as bytes: publishers write CDR themselves, and
+subscriptions are raw. A message with the layout of our own writers is read with one ``struct``
+call, which is four times as fast as making message objects. A message of the same type with
+another layout, from ``ros2 topic pub`` or a real leg's driver, goes through rclpy's deserializer,
+and the same rules hold for it; nothing else here needs ROS.
 
-Readers refuse what does not carry what it should with a ``SignalError`` that names what, where,
-and what would be right.
+Readers raise a ``SignalError`` that names what is wrong, where, and what would be right.
 """
 
 from __future__ import annotations
@@ -33,21 +32,22 @@ from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 
 JOINTS = ("hip", "knee")
 CONTACT = ("slip", "inclination", "hair", "touch", "restart", "load", "load_peak")
-"""What ``<leg>/contact`` names. The first five are in ``position``: m, rad, and three bits as 0 or
-1; ``load`` and ``load_peak`` are in ``effort``: N, mean and largest of the tick. The rest is 0."""
+"""The names in ``<leg>/contact``. The first five are in ``position``: m, rad, and three bits as 0
+or 1; ``load`` and ``load_peak`` are in ``effort``: N, mean and largest of the tick. The rest is 0.
+"""
 TRANSITION = ("state", "stance", "action", "next_state", "next_stance", "td_error")
-"""What ``<leg>/transition`` names first, in ``position``: indexes, -1 where there is nothing to
+"""The first names in ``<leg>/transition``, in ``position``: indexes, -1 where there is nothing to
 credit, bits as 0 or 1, and an error in units of the reward; every weighted term of the reward
 follows by its own name."""
 OLDER_TRANSITION = ("stance", "state", "action")
-"""What it named first before it told of the tick that begins: of older bags, and not read."""
+"""Its first names in older bags, which had no next state; such a message is not read."""
 
 
 def tick_of(ns: int, tick_ns: int, where: str) -> int:
-    """Return the tick that a stamp names.
+    """Return the tick of a stamp.
 
     Raises:
-        SignalError: the stamp lies between ticks or before the start.
+        SignalError: the stamp is between ticks or before the start.
     """
     tick, rest = divmod(ns, tick_ns)
     if rest or tick < 0:
@@ -58,13 +58,13 @@ def tick_of(ns: int, tick_ns: int, where: str) -> int:
     return tick
 
 
-# -- clock, and the phase of older bags -------------------------------------------------------
+# -- the phase of older bags ------------------------------------------------------------------
 
 _BARE_PHASE = struct.Struct("<4sd")
 
 
 def read_bare_phase(data: Bytes, ticks: int, where: str) -> Beat:
-    """Return the beat in a std_msgs/Float64, whose phase names its tick: of older bags.
+    """Return the beat in a std_msgs/Float64 of older bags: its tick follows from its phase.
 
     Raises:
         SignalError: it is not finite, under 0, or between ticks.
@@ -92,28 +92,28 @@ class Stamped(NamedTuple):
 
 
 class JointWire:
-    """A sensor_msgs/JointState that has fixed names, one or two of its three arrays in use.
+    """A sensor_msgs/JointState with fixed names that uses one or two of its three arrays.
 
-    Ours are laid out in one way. Those of others may name their joints in any order and more of
-    them, and what an array holds that is not in use is nobody's concern.
+    Our own messages have one layout. Messages of others may have the names in any order, and other
+    names too; the content of an array that is not used is ignored.
     """
 
     FIELDS = ("position", "velocity", "effort")
-    MEANS: Mapping[str, str] = {
-        "position": "what is known of a leg stands there",
-        "velocity": "a speed is sensed or asked for, and nobody here makes one up",
-        "effort": "it says a force or the largest torque, and none is not the same as 0",
+    REASONS: Mapping[str, str] = {
+        "position": "it holds measured values, and no default replaces one",
+        "velocity": "it holds measured or commanded speeds, and no default replaces one",
+        "effort": "it holds a force or the largest torque, and a missing one is not 0",
     }
-    """Why each must be there, where it is in use."""
+    """Why each array must be complete where it is used."""
 
     def __init__(self, frame: str, names: Sequence[str], first: str, second: str = "") -> None:
-        """Lay the message out.
+        """Compute the layout.
 
         Args:
             frame: ``header.frame_id``.
             names: of the joints.
-            first: of ``FIELDS``, the array in use.
-            second: the other one, behind ``first`` in ``FIELDS``; none without.
+            first: of ``FIELDS``, the array that is used.
+            second: of ``FIELDS``, behind ``first``: the other array that is used, if there is one.
         """
         self.names, self.first, self.second = list(names), first, second
         n = len(self.names)
@@ -139,7 +139,7 @@ class JointWire:
         self._n = n
 
     def pack(self, ns: int, first: Sequence[float], second: Sequence[float] = ()) -> bytes:
-        """Return the message with a stamp of ``ns`` and these numbers, one a name."""
+        """Return the message with a stamp of ``ns`` and these numbers, one per name."""
         return self._struct.pack(
             ENCAPSULATION,
             *divmod(ns, NS_PER_S),
@@ -156,10 +156,10 @@ class JointWire:
         Raises:
             SignalError: it is no JointState, a name or its number is missing, or is not finite.
         """
-        return self.read_ours(data) or self._read_slowly(data, where)
+        return self.read_own(data) or self._read_other(data, where)
 
-    def read_ours(self, data: Bytes) -> Stamped | None:
-        """Return the numbers in a message that is laid out as ``pack`` does it; None of others."""
+    def read_own(self, data: Bytes) -> Stamped | None:
+        """Return the numbers in a message with the layout of ``pack``; None for another layout."""
         n = self._n
         if len(data) == self._struct.size:
             parts = self._struct.unpack(data)
@@ -177,8 +177,8 @@ class JointWire:
                     return stamped
         return None
 
-    def _read_slowly(self, data: Bytes, where: str) -> Stamped:
-        """Read a message that others made, or say what is wrong with it."""
+    def _read_other(self, data: Bytes, where: str) -> Stamped:
+        """Read a message of another layout."""
         message = deserialize(data, topics.JOINT_STATE, where)
         names = list(message.name)
         if missing := [name for name in self.names if names.count(name) != 1]:
@@ -191,26 +191,26 @@ class JointWire:
             if not field:
                 numbers.append(())
                 continue
-            every = getattr(message, field)
-            if len(every) != len(names):
+            values = getattr(message, field)
+            if len(values) != len(names):
                 raise SignalError(
-                    f"{where}: {len(every)} numbers in {field}; {len(names)}, one a name, would be "
-                    f"right: {self.MEANS[field]}"
+                    f"{where}: {len(values)} numbers in {field}; {len(names)}, one per name, would "
+                    f"be right: {self.REASONS[field]}"
                 )
-            numbers.append(tuple(float(every[place]) for place in places))
+            numbers.append(tuple(float(values[place]) for place in places))
             if not all(map(math.isfinite, numbers[-1])):
                 raise SignalError(
-                    f"{where}: {field} {list(numbers[-1])} is not finite: {self.MEANS[field]}"
+                    f"{where}: {field} {list(numbers[-1])} is not finite: {self.REASONS[field]}"
                 )
         stamp = message.header.stamp
         return Stamped(stamp.sec * NS_PER_S + stamp.nanosec, *numbers)
 
 
 class BeatWire:
-    """The message in which the beat travels."""
+    """Packs and reads ``cpg/phase``, which carries the beat."""
 
     def __init__(self, tick_ns: int) -> None:
-        """Lay out the message."""
+        """Compute the layout."""
         self._tick_ns = tick_ns
         self._wire = JointWire("cpg", ("cpg",), "position")
 
@@ -233,10 +233,10 @@ class BeatWire:
 
 
 class SenseWire:
-    """The two messages in which a leg's senses travel."""
+    """Packs and reads the two messages that carry a leg's senses."""
 
     def __init__(self, leg: str, tick_ns: int) -> None:
-        """Lay out the messages of ``leg``."""
+        """Compute the layouts of ``leg``."""
         self._leg, self._tick_ns = leg, tick_ns
         self._joints = JointWire(f"{leg}_thigh", JOINTS, "position", "velocity")
         self._contact = JointWire(f"{leg}_foot", CONTACT, "position", "effort")
@@ -277,7 +277,7 @@ class SenseWire:
 
     @staticmethod
     def sense(tick: int, joints: Stamped, contact: Stamped) -> LegSense:
-        """Return the senses in the numbers of one tick's two messages."""
+        """Return the senses from the numbers of one tick's two messages."""
         slip, inclination, hair, touch, first_tick = contact.first[:5]
         hip, knee = joints.first
         hip_speed, knee_speed = joints.second
@@ -289,10 +289,10 @@ class SenseWire:
 
 
 class CommandWire:
-    """The message in which a leg's command travels."""
+    """Packs and reads ``<leg>/command``, which carries a leg's command."""
 
     def __init__(self, leg: str, tick_ns: int) -> None:
-        """Lay out the message of ``leg``."""
+        """Compute the layout of ``leg``."""
         self._leg, self._tick_ns = leg, tick_ns
         self._wire = JointWire(f"{leg}_thigh", JOINTS, "velocity", "effort")
 
@@ -320,23 +320,24 @@ class CommandWire:
 
 
 class TransitionWire:
-    """The message in which a leg says what it was paid, for what."""
+    """Packs and reads ``<leg>/transition``, which carries a leg's transition."""
 
     def __init__(self, leg: str, tick_ns: int) -> None:
-        """Lay out the message of ``leg``; whose terms they are is found in what it says."""
+        """Compute the layout of ``leg``; the reward's terms follow from the messages."""
         self._leg, self._tick_ns = leg, tick_ns
         self._wire = self._layout(())
 
     def _layout(self, terms: Sequence[str]) -> JointWire:
         return JointWire(f"{self._leg}_thigh", (*TRANSITION, *terms), "position")
 
-    def pack(self, did: Transition) -> bytes:
+    def pack(self, transition: Transition) -> bytes:
         """Return ``<leg>/transition``."""
-        names = [name for name, _ in did.terms]
+        names = [name for name, _ in transition.terms]
         if self._wire.names[len(TRANSITION) :] != names:
             self._wire = self._layout(names)
-        own = (did.state, did.stance, did.action, did.next_state, did.next_stance, did.td_error)
-        return self._wire.pack(did.tick * self._tick_ns, (*own, *[value for _, value in did.terms]))
+        t = transition
+        fixed = (t.state, t.stance, t.action, t.next_state, t.next_stance, t.td_error)
+        return self._wire.pack(t.tick * self._tick_ns, (*fixed, *[value for _, value in t.terms]))
 
     def read(self, data: Bytes) -> Transition:
         """Return the transition in a message.
@@ -345,13 +346,13 @@ class TransitionWire:
             SignalError: it does not carry what it should.
         """
         where = f"{self._leg}/transition"
-        stamped = self._wire.read_ours(data)
-        if stamped is None:  # of other terms than the last one, or not as we write it
+        stamped = self._wire.read_own(data)
+        if stamped is None:  # other terms than before, or another layout
             self._wire = self._layout(self._terms(data, where))
             stamped = self._wire.read(data, where)
         state, stance, action, next_state, next_stance, td_error, *values = stamped.first
         indexes, bits = (state, action, next_state), (stance, next_stance)
-        if any(each != int(each) or each < -1.0 for each in indexes) or set(bits) - {0.0, 1.0}:
+        if any(index != int(index) or index < -1.0 for index in indexes) or set(bits) - {0.0, 1.0}:
             raise SignalError(
                 f"{where}: state, action, next_state {indexes}, stance, next_stance {bits}; whole "
                 "numbers from -1 up, and bits as 0 or 1, would be right"
@@ -370,7 +371,7 @@ class TransitionWire:
 
     @staticmethod
     def _terms(data: Bytes, where: str) -> list[str]:
-        """Return the names of the terms in a message."""
+        """Return the names of the reward's terms in a message."""
         names = list(joint_names(data, where))
         if tuple(names[: len(TRANSITION)]) != TRANSITION:
             raise SignalError(
@@ -381,7 +382,7 @@ class TransitionWire:
 
 
 def is_older_transition(data: Bytes) -> bool:
-    """Return whether a message is a ``<leg>/transition`` as it was laid out before."""
+    """Return whether a message is a ``<leg>/transition`` of an older bag."""
     try:
         return tuple(itertools.islice(joint_names(data, ""), 3)) == OLDER_TRANSITION
     except SignalError:
@@ -390,7 +391,7 @@ def is_older_transition(data: Bytes) -> bool:
 
 # -- the body --------------------------------------------------------------------------------
 
-# Frames as in REP 105, but for a body that is no vehicle's base; no covariance, no twist is known.
+# Frames as in REP 105, except that the child frame is the body. Covariance and twist are unknown.
 _FRAMES = pad(append_string(append_string(bytes(8), "odom"), "body"), 8)[8:]
 _UNKNOWN = bytes(8 * (36 + 6 + 36))
 _ODOMETRY = struct.Struct(f"<4siI{len(_FRAMES)}s7d{len(_UNKNOWN)}s")
@@ -442,7 +443,7 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
 
 
 def euler(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw, rad, of a unit quaternion: ``quaternion`` turned round."""
+    """Return roll, pitch and yaw, rad, of a unit quaternion: the inverse of ``quaternion``."""
     return (
         math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
         math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),

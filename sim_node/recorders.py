@@ -46,7 +46,7 @@ class BagObserver:
         Raises:
             BagError: the bag cannot be written.
         """
-        if self._inquiry.ask() and not late:
+        if self._inquiry.poll() and not late:
             return False
         run_metadata, table, wrong = self._inquiry.run_metadata(self._world, 0)
         for why in wrong:

@@ -1007,7 +1007,7 @@ def test_bytes_that_were_heard_are_kept_as_they_are(tmp_path: Path) -> None:
     with writing(tmp_path / "bag") as writer:
         taking = RunWriter(writer, run_metadata, None)
         for tick in ticks:
-            taking.put(tick, said[tick])
+            taking.write(tick, said[tick])
         taking.finish()
         assert taking.ticks == len(ticks)
         writer.close()

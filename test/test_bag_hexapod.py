@@ -194,11 +194,17 @@ def test_a_recorder_beside_six_legs_writes_what_the_world_writes(
     )
     robot.begin(recorder, bag=str(own), recorder=True)
     robot.run()
-    ear = recorder._ears[namespace]
+    robot_recorder = recorder._robots[namespace]
     ros.spin_until(
-        lambda: ear.recording is not None and ear.recording.ticks >= CYCLES * TICKS, "all is heard"
+        (
+            lambda: (
+                robot_recorder.run_writer is not None
+                and robot_recorder.run_writer.ticks >= CYCLES * TICKS
+            )
+        ),
+        "all is recorded",
     )
-    assert ear.missing == 0
+    assert robot_recorder.missing == 0
     recorder.finish(ros.spin_once)
     (one,), (other,) = own.glob("*.mcap"), heard.glob("*.mcap")
     assert one.read_bytes() == other.read_bytes()

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool
 
 from ember_ros import cdr, topics, wire
-from ember_ros.bag import player_node, recorder_node
+from ember_ros.bag import player_node
 from ember_ros.bag.metadata_client import MetadataClient
 from ember_ros.bag.player_node import PlayerNode
 from ember_ros.bag.reader import Bag, Raw
@@ -83,17 +83,17 @@ def recording(ros: Ros, folder: Path, namespace: str = "", **parameters: Any) ->
     )
 
 
-def ear_of(recorder: Any, namespace: str = "") -> Any:
-    """Return what a recorder keeps of one robot."""
-    return recorder._ears[namespace]
+def recorder_of(recorder: Any, namespace: str = "") -> Any:
+    """Return what a recorder node records one robot with."""
+    return recorder._robots[namespace]
 
 
 def until_recorded(ros: Ros, recorder: Any, ticks: int, namespace: str = "") -> None:
     """Spin until a recorder has written so many ticks of a robot."""
 
     def written() -> bool:
-        ear = ear_of(recorder, namespace)
-        return ear.recording is not None and ear.recording.ticks >= ticks
+        robot = recorder_of(recorder, namespace)
+        return robot.run_writer is not None and robot.run_writer.ticks >= ticks
 
     ros.spin_until(written, f"{ticks} ticks are recorded")
 
@@ -174,7 +174,7 @@ def test_a_recorder_writes_the_bytes_that_the_world_writes(
     robot.begin(recorder, bag=str(own))
     robot.run()
     until_recorded(ros, recorder, ALL, namespace)
-    assert ear_of(recorder, namespace).missing == 0
+    assert recorder_of(recorder, namespace).missing == 0
     recorder.finish(ros.spin_once)
     assert list(bytes_of(heard)) == ["bag_0.mcap"]
     assert bytes_of(heard) == bytes_of(own)
@@ -205,7 +205,7 @@ def test_a_recorder_records_every_robot_on_the_graph(ros: Ros, tmp_path: Path) -
     for name, robot in robots.items():
         robot.finish()
         until_recorded(ros, recorder, ALL, name)
-        assert ear_of(recorder, name).missing == 0
+        assert recorder_of(recorder, name).missing == 0
     recorder.finish(ros.spin_once)
     with pytest.raises(BagError, match=r"has robots in /robot_1, /robot_12: choose one"):
         Bag(tmp_path / "bag")
@@ -267,7 +267,7 @@ def test_a_table_that_was_asked_for_too_late_is_not_the_one_at_the_start(
     ros.add(TableNode(context=ros.context))
     until_heard(ros, recorder, 39)
     recorder.finish(ros.spin_once)
-    assert "legs had already learnt" in said()
+    assert "legs had pushed updates" in said()
     with Bag(tmp_path / "bag") as bag:
         assert bag.run_metadata is not None
         assert (bag.run_metadata.first_tick, bag.run_metadata.start_table_sha256, bag.table) == (
@@ -310,7 +310,7 @@ def test_a_leg_that_dies_costs_its_commands_and_nothing_else(ros: Ros, tmp_path:
             again = replay(bag)
         assert again.difference is None
         assert again.unanswered["rear_left"] >= done - len(gone)
-    assert ear_of(recorder).missing >= done - len(gone)
+    assert recorder_of(recorder).missing >= done - len(gone)
 
 
 def test_nobody_is_there_and_the_bag_is_empty_and_whole(ros: Ros, tmp_path: Path) -> None:
@@ -319,7 +319,7 @@ def test_nobody_is_there_and_the_bag_is_empty_and_whole(ros: Ros, tmp_path: Path
         recorder = recording(ros, tmp_path / name, all_robots=every)
         until_quiet(ros)
         with pytest.raises(
-            BagError, match="no robot was heard " + ("anywhere" if every else "in /")
+            BagError, match="no robot was found " + ("anywhere" if every else "in /")
         ):
             recorder.finish(ros.spin_once)
         ros.remove(recorder)
@@ -381,8 +381,8 @@ def until_heard(ros: Ros, recorder: Any, tick: int) -> None:
     """Spin until a recorder has begun to record, and has heard of a tick."""
 
     def heard() -> bool:
-        ear = ear_of(recorder)
-        return ear.recording is not None and ear._window._newest >= tick
+        robot = recorder_of(recorder)
+        return robot.run_writer is not None and robot._window.newest >= tick
 
     ros.spin_until(heard, f"tick {tick} is heard")
     until_quiet(ros)
@@ -391,7 +391,7 @@ def until_heard(ros: Ros, recorder: Any, tick: int) -> None:
 @pytest.fixture
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a recorder wait for nobody's answer."""
-    monkeypatch.setattr(recorder_node, "ANSWER_S", 0.0)
+    monkeypatch.setattr("ember_ros.bag.robot_recorder.RESPONSE_S", 0.0)
 
 
 def named(*messages: tuple[str, int]) -> list[Raw]:
@@ -431,7 +431,7 @@ def test_what_a_recorder_misses_is_counted_and_the_rest_is_as_it_was_said(
     said = voice.say(range(ALL), without=named(*lost))
     until_heard(ros, recorder, ALL - 1)
     recorder.finish(ros.spin_once)
-    assert ear_of(recorder).missing == count
+    assert recorder_of(recorder).missing == count
     assert told(tmp_path / "bag") == said
 
 
@@ -551,7 +551,7 @@ def test_a_leg_of_others_making_is_recorded_and_not_replayed(
     robot.begin(bag=str(tmp_path / "bag"), patience=0.5 if not services else PATIENCE_S)
     ros.spin_until(lambda: robot.sim.done, "the last tick")
     robot.sim.finish(ros.spin_once)
-    assert "cannot be replayed: rear_left does not say what it was told" in said()
+    assert "cannot be replayed: rear_left has no parameters of a leg node of this package" in said()
     with Bag(tmp_path / "bag") as bag:
         assert bag.run_metadata is not None
         assert list(bag.run_metadata.legs) == [leg for leg in LEGS if leg != "rear_left"]
@@ -862,11 +862,11 @@ def test_what_nodes_say_is_what_their_plan_was(ros: Ros, name: str, namespace: s
     with closing(
         Graph(own, patience=PATIENCE_S, namespace=namespace, context=ros.context)
     ) as graph:
-        inquiry = MetadataClient(ros.node, namespace)
-        assert inquiry.world is None
-        ros.spin_until(lambda: not inquiry.ask(), "all have answered", graph.spin_once)
-        assert inquiry.world == own.world
-        run_metadata, table, wrong = inquiry.run_metadata(own.world, 0)
+        client = MetadataClient(ros.node, namespace)
+        assert client.world is None
+        ros.spin_until(lambda: not client.poll(), "all have answered", graph.spin_once)
+        assert client.world == own.world
+        run_metadata, table, wrong = client.run_metadata(own.world, 0)
         empty = empty_table(own.params)
         assert run_metadata == RunMetadata.of_config(own, empty, versions())
         assert wrong == []
@@ -874,36 +874,36 @@ def test_what_nodes_say_is_what_their_plan_was(ros: Ros, name: str, namespace: s
         assert table is not None
         assert table.sha256() == empty.sha256()
         # Of a later tick on the same nodes: what the table was at the start is not known.
-        run_metadata, table, wrong = inquiry.run_metadata(own.world, 7)
+        run_metadata, table, wrong = client.run_metadata(own.world, 7)
         assert (run_metadata.first_tick, run_metadata.start_table_sha256, table) == (7, None, None)
         assert "recorded from tick 7 on" in " ".join(wrong)
 
 
 def test_nobody_who_answers_is_said_with_names(ros: Ros) -> None:
     """Where no robot is, who was waited for is named, and the card claims nothing."""
-    inquiry = MetadataClient(ros.node, "")
+    client = MetadataClient(ros.node, "")
     for _ in range(20):
         ros.spin_once(0.001)
-        assert inquiry.ask() == ["clock", "cpg/phase", "table/pull"]
-    run_metadata, table, wrong = inquiry.run_metadata("walker", 0)
+        assert client.poll() == ["clock", "cpg/phase", "table/pull"]
+    run_metadata, table, wrong = client.run_metadata("walker", 0)
     assert (dict(run_metadata.legs), run_metadata.start_table_sha256, table) == ({}, None, None)
     for leg in LEGS:
-        assert any(why.startswith(f"{leg} does not say") for why in wrong)
-    assert "nobody serves a table" in wrong
+        assert any(why.startswith(f"{leg} has no parameters") for why in wrong)
+    assert "no node serves table/pull" in wrong
 
 
 def test_a_recorder_that_heard_nobody_ends_with_an_error(
     ros: Ros, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It says meanwhile that nothing is recorded, and in the end where it listened in vain."""
-    monkeypatch.setattr("ember_ros.bag.recorder_node.SAY_S", 0.0)
+    monkeypatch.setattr("ember_ros.bag.recorder_node.LOG_S", 0.0)
     said: list[str] = []
 
     def says() -> bool:
         said.append(capfd.readouterr().err)
-        return "/robot: nothing is recorded, no robot speaks here yet" in "".join(said)
+        return "/robot: nothing is recorded, no robot publishes here yet" in "".join(said)
 
     recorder = recording(ros, tmp_path / "bag", "/robot")
     ros.spin_until(says, "that it records nothing")
-    with pytest.raises(BagError, match=r"no robot was heard in /robot: the bag .*bag is empty"):
+    with pytest.raises(BagError, match=r"no robot was found in /robot: the bag .*bag is empty"):
         recorder.finish(ros.spin_once)

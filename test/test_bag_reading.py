@@ -293,8 +293,8 @@ def test_parts_may_come_in_any_order(come: list[tuple[int, str]], take: list[boo
     for (tick, part), now in zip(come, itertools.chain(take, itertools.repeat(True)), strict=False):
         assert window.put(tick, part, (tick, part))
         if now:
-            out += window.take()
-    out += window.rest()
+            out += window.pop_complete()
+    out += window.pop_rest()
     assert out == [
         (tick, {part: (tick, part) for part in PARTS}) for tick in sorted({t for t, _ in come})
     ]
@@ -308,8 +308,8 @@ def test_the_first_tick_may_come_after_the_second() -> None:
         for part in PARTS:
             assert window.put(tick, part, tick)
             if tick:
-                assert list(window.take()) == []
-    assert [tick for tick, _ in window.take()] == [0, 1]
+                assert list(window.pop_complete()) == []
+    assert [tick for tick, _ in window.pop_complete()] == [0, 1]
 
 
 @given(
@@ -326,10 +326,10 @@ def test_what_does_not_come_is_waited_for_and_then_left_out(lost: dict[int, set[
         for part in PARTS:
             if part not in lost.get(tick, ()):
                 assert window.put(tick, part, part)
-        for each, parts in window.take():
+        for each, parts in window.pop_complete():
             assert set(parts) == set(PARTS) - lost.get(each, set())
             out[each] = tick
-    for each, _ in window.rest():
+    for each, _ in window.pop_rest():
         out[each] = -1
     gone = {tick for tick, parts in lost.items() if parts == set(PARTS)}
     assert list(out) == [tick for tick in range(ticks) if tick not in gone]
@@ -348,10 +348,10 @@ def test_a_tick_that_stays_incomplete_comes_out_after_so_many_newer_ones() -> No
     window = Window(PARTS)
     window.put(0, "a", 0)
     for tick in range(1, LATE + 1):
-        assert list(window.take()) == []
+        assert list(window.pop_complete()) == []
         for part in PARTS:
             window.put(tick, part, tick)
-    taken = list(window.take())
+    taken = list(window.pop_complete())
     assert taken[0] == (0, {"a": 0})
     assert [tick for tick, _ in taken] == list(range(LATE + 1))
 
@@ -361,9 +361,9 @@ def test_what_is_left_comes_in_order() -> None:
     window = Window(PARTS)
     for tick in (9, 3, 5):
         window.put(tick, "b", tick)
-    assert list(window.rest()) == [(3, {"b": 3}), (5, {"b": 5}), (9, {"b": 9})]
-    assert list(window.rest()) == []
-    assert list(window.take()) == []
+    assert list(window.pop_rest()) == [(3, {"b": 3}), (5, {"b": 5}), (9, {"b": 9})]
+    assert list(window.pop_rest()) == []
+    assert list(window.pop_complete()) == []
 
 
 def test_stale_parts_are_refused() -> None:
@@ -372,11 +372,11 @@ def test_stale_parts_are_refused() -> None:
     for tick in range(3):
         for part in PARTS:
             assert window.put(tick, part, "first")
-    assert [tick for tick, _ in window.take()] == [0, 1, 2]
+    assert [tick for tick, _ in window.pop_complete()] == [0, 1, 2]
     for tick in range(3):
         assert not window.put(tick, "a", "again")
-    assert list(window.take()) == []
-    assert list(window.rest()) == []
+    assert list(window.pop_complete()) == []
+    assert list(window.pop_rest()) == []
     assert window.last == 2
 
 
@@ -386,19 +386,19 @@ def test_parts_that_nobody_waits_for_may_come_too() -> None:
     window.put(0, "a", 1)
     window.put(0, "x", 2)
     window.put(1, "a", 3)
-    assert list(window.take()) == [(0, {"a": 1, "x": 2}), (1, {"a": 3})]
+    assert list(window.pop_complete()) == [(0, {"a": 1, "x": 2}), (1, {"a": 3})]
 
 
 def test_a_tick_may_need_more_than_its_parts() -> None:
     """What else must hold is asked, and holds the tick and all behind it back until it does."""
     ready: list[bool] = []
-    window = Window(["a"], also=lambda found: bool(ready) and found["a"] == 0)
+    window = Window(["a"], is_complete=lambda parts: bool(ready) and parts["a"] == 0)
     for tick in range(3):
         window.put(tick, "a", tick)
-    assert list(window.take()) == []
+    assert list(window.pop_complete()) == []
     ready.append(True)
-    assert [tick for tick, _ in window.take()] == [0]
-    assert [tick for tick, _ in window.rest()] == [1, 2]
+    assert [tick for tick, _ in window.pop_complete()] == [0]
+    assert [tick for tick, _ in window.pop_rest()] == [1, 2]
 
 
 FAR = [LATE + 60, 10**6, 2**53]
@@ -416,8 +416,8 @@ def test_a_part_far_ahead_of_all_others_is_not_waited_for(
     for tick in range(40 + LATE):
         for part in "abcde":
             window.put(far if tick == at and part in lying else tick, part, tick)
-            out.update(window.take())
-    out.update(window.rest())
+            out.update(window.pop_complete())
+    out.update(window.pop_rest())
     assert list(out) == list(range(40 + LATE))
     assert {tick: set("abcde") - parts.keys() for tick, parts in out.items() if len(parts) < 5} == {
         at: set(lying)
@@ -432,9 +432,9 @@ def test_a_leg_whose_clock_is_wrong_for_good_ends_nothing() -> None:
     for tick in range(500):
         for part in "abcd":
             window.put(tick + 10**9 * (part == "c"), part, tick)
-            out.update(window.take())
+            out.update(window.pop_complete())
         assert len(window._ahead) <= LATE + 2
-    out.update(window.rest())
+    out.update(window.pop_rest())
     assert list(out) == list(range(500))
     assert all(parts.keys() == set("abd") for parts in out.values())
     assert window.displaced == 500
@@ -451,8 +451,8 @@ def test_a_gap_is_gone_over(parts: str, first: int, far: int) -> None:
     for tick in ticks:
         for part in parts:
             assert window.put(tick, part, tick)
-            out.update(window.take())
-    out.update(window.rest())
+            out.update(window.pop_complete())
+    out.update(window.pop_rest())
     assert out == {tick: dict.fromkeys(parts, tick) for tick in ticks}
     assert window.displaced == 0
 

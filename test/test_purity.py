@@ -18,6 +18,7 @@ ROS = {
     "ember_ros.bag.metadata_client",
     "ember_ros.bag.player_node",
     "ember_ros.bag.recorder_node",
+    "ember_ros.bag.robot_recorder",
     "leg_node.calls",
     "ember_ros.ros_params",
     "leg_node.node",

@@ -257,7 +257,7 @@ ANY_BAD = [
     (setting("name", ["hip", "toe"]), r"names \['hip', 'toe'\]"),
     (setting("name", ["hip", "hip"]), r"names \['hip', 'hip'\]"),
     (setting("name", []), r"names \[\]"),
-    (setting("name", ["hip", "knee", "toe"]), "names|2 numbers in .*; 3, one a name"),
+    (setting("name", ["hip", "knee", "toe"]), "names|2 numbers in .*; 3, one per name"),
     (stamped(0, TICK_NS - 1), "stamp 15624999 ns"),
     (stamped(0, 1), "stamp 1 ns"),
     (stamped(-1, 0), "stamp -1000000000 ns"),
@@ -269,7 +269,7 @@ JOINTS_BAD = [
     (setting("position", [0.1]), "1 numbers in position"),
     (setting("position", []), "0 numbers in position"),
     (setting("velocity", [0.1] * 3), "3 numbers in velocity"),
-    (setting("velocity", []), "0 numbers in velocity; 2, .*speed is sensed or asked for"),
+    (setting("velocity", []), "0 numbers in velocity; 2, .*measured or commanded speeds"),
 ]
 CONTACT_BAD = [
     *ANY_BAD,
@@ -302,7 +302,7 @@ BEAT_BAD = [
     (setting("name", ["cpg", "cpg"]), r"names \['cpg', 'cpg'\]"),
     (setting("name", []), r"names \[\]"),
     (setting("position", []), "0 numbers in position"),
-    (setting("position", [0.5, 0.5]), "2 numbers in position; 1, one a name"),
+    (setting("position", [0.5, 0.5]), "2 numbers in position; 1, one per name"),
     (stamped(0, TICK_NS - 1), "stamp 15624999 ns .*same gait.period"),
     (stamped(-1, 0), "stamp -1000000000 ns"),
     *[(putting("position", 0, x), "not finite") for x in (math.nan, math.inf, -math.inf)],

@@ -341,7 +341,7 @@ class Bag:
         phase = self._name(topics.PHASE)
         for topic, _, data in self._messages([*readers, beat]):
             if topic == beat:
-                for tick, found in window.take():
+                for tick, found in window.pop_complete():
                     falls += self._fell(found)
                     yield from self._tick(tick, found, falls, seen)
             reader = readers.get(topic)
@@ -363,7 +363,7 @@ class Bag:
                     )
                 back = tick < newest
                 newest = max(newest, min(tick, window.newest))
-        for tick, found in window.rest():
+        for tick, found in window.pop_rest():
             falls += self._fell(found)
             yield from self._tick(tick, found, falls, seen)
         self.stale += window.displaced

@@ -1,10 +1,10 @@
-"""Lays a run down in a bag, tick by tick, in one order: the same run makes the same bytes.
+"""Writes a run into a bag, tick by tick, in one order: the same run makes the same bytes.
 
-The loop and the sim node give it what they give every observer; the recorder node gives it the
-bytes that it heard. A tick is its clock, the falls if there are more, the body's pose, each leg's
+The loop and the sim node call it as they call every observer; the recorder node passes it the bytes
+that it received. A tick is its clock, the falls if there are more, the body's pose, each leg's
 senses, the beat, each leg's command, and each leg's transition of the tick before. Every quarter of
-a second of simulated time it is brought to the disk, with a CRC-32 of each leg's senses:
-whatever chunk survives can be checked by itself.
+a second of simulated time it is flushed to the disk, with a CRC-32 of each leg's senses: every
+chunk can be checked by itself.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FLUSH_TICKS = 16
 
 
 class TickMessages(NamedTuple):
-    """All messages of one tick; None where there was none."""
+    """All messages of one tick; None where there is none."""
 
     clock: bytes | None
     falls: bytes | None
@@ -51,7 +51,7 @@ def crc_of(joints: bytes | None, contact: bytes | None) -> int:
 
 
 class RunWriter:
-    """One robot's run, going into a bag; whoever made the writer closes it."""
+    """Writes one robot's run into a bag; its caller closes the bag writer."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class RunWriter:
             BagError: the bag cannot be written.
         """
         self.ticks = 0
-        """Ticks that were written."""
+        """Ticks written so far."""
         self._writer = writer
         self._tick_ns = run_metadata.params.gait.tick_ns
         legs = legs_of(run_metadata.world, run_metadata.params)
@@ -94,8 +94,8 @@ class RunWriter:
         self._of_legs = [
             (channel(topics.joint_states(leg)), channel(topics.contact(leg))) for leg in legs
         ]
-        said = (*map(topics.command, legs), *map(topics.transition, legs))
-        self._after = [channel(t) for t in (topics.PHASE, *said)]
+        published = (*map(topics.command, legs), *map(topics.transition, legs))
+        self._after = [channel(t) for t in (topics.PHASE, *published)]
         self._crc = channel(topics.CRC)
 
         ns = run_metadata.first_tick * self._tick_ns
@@ -125,37 +125,35 @@ class RunWriter:
         """
         tick = senses[0].tick
         ns = tick * self._tick_ns
-        felt = [
-            sense_wire.pack(sense) for sense_wire, sense in zip(self._senses, senses, strict=True)
-        ]
+        packed = [w.pack(sense) for w, sense in zip(self._senses, senses, strict=True)]
         falls = None if body.falls == self._falls else cdr.pack_int(body.falls)
         self._falls = body.falls
-        told = TickMessages(
+        messages = TickMessages(
             cdr.pack_clock(ns),
             falls,
             wire.pack_odometry(ns, body),
-            [joints for joints, _ in felt],
-            [contact for _, contact in felt],
+            [joints for joints, _ in packed],
+            [contact for _, contact in packed],
             self._beat.pack(beat),
             [w.pack(c) if c else None for w, c in zip(self._commands, commands, strict=True)],
             [w.pack(t) if t else None for w, t in zip(self._transitions, transitions, strict=True)],
         )
-        self.put(tick, told)
+        self.write(tick, messages)
 
-    def put(self, tick: int, told: TickMessages) -> None:
+    def write(self, tick: int, messages: TickMessages) -> None:
         """Write the messages of one tick; ticks must come in order.
 
         Raises:
             BagError: the bag cannot be written.
         """
         if tick != self._next:
-            self._check()  # what is checked together is without gaps
+            self._write_crcs()  # one message of CRCs covers ticks without gaps
         ns, write = tick * self._tick_ns, self._writer.write
-        for channel, data in zip(self._before, told[:3], strict=True):
+        for channel, data in zip(self._before, messages[:3], strict=True):
             if data is not None:
                 write(channel, ns, data)
         for channels, joints, contact in zip(
-            self._of_legs, told.joints, told.contacts, strict=True
+            self._of_legs, messages.joints, messages.contacts, strict=True
         ):
             if joints is not None:
                 write(channels[0], ns, joints)
@@ -163,18 +161,18 @@ class RunWriter:
                 write(channels[1], ns, contact)
             self._crcs.append(crc_of(joints, contact))
         for channel, data in zip(
-            self._after, (told.phase, *told.commands, *told.transitions), strict=True
+            self._after, (messages.phase, *messages.commands, *messages.transitions), strict=True
         ):
             if data is not None:
                 write(channel, ns, data)
         self.ticks += 1
         self._next = tick + 1
         if self._next % FLUSH_TICKS == 0:
-            self._check()
+            self._write_crcs()
             self._writer.flush()
 
-    def _check(self) -> None:
-        """Write the CRCs of the ticks since the last ones."""
+    def _write_crcs(self) -> None:
+        """Write the CRCs of the ticks since the last message of CRCs."""
         count = len(self._crcs) // self._legs
         if not count:
             return
@@ -185,10 +183,10 @@ class RunWriter:
         del self._crcs[:]
 
     def finish(self) -> None:
-        """Write what is left over; nothing more may come.
+        """Write the last CRCs and flush; nothing may be written after.
 
         Raises:
             BagError: the bag cannot be written.
         """
-        self._check()
+        self._write_crcs()
         self._writer.flush()
