@@ -131,7 +131,7 @@ def test_the_bag_that_is_kept_is_replayed_as_far_as_can_be() -> None:
     with Bag(KEPT) as bag:
         done = replay(bag)
     assert (done.ticks, done.compared, done.difference, done.missing) == (96, 384, None, None)
-    assert done.paid_otherwise is None
+    assert done.transition_difference is None
     assert done.recorded_sha256 is not None
     assert done.equal == (done.table.sha256() == done.recorded_sha256)
 

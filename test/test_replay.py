@@ -19,7 +19,7 @@ from ember_ros.errors import BagError, ParameterError
 from ember_ros.graph import by_graph
 from ember_ros.loop import Loop
 from ember_ros.offline.relearn import relearn
-from ember_ros.offline.replay import Difference, Replayed, by_loop, replay, verdict
+from ember_ros.offline.replay import Difference, Replayed, by_loop, conclusion_of, replay
 from ember_ros.params import Params, replace
 from ember_ros.run import run
 from ember_ros.run_config import RunConfig
@@ -860,11 +860,11 @@ def test_a_verdict_names_each_part_once(
 ) -> None:
     """In every combination: under equal, different or not recorded, and with one meaning."""
     parts = {"senses": senses, "commands": commands, "rewards": rewards, "table": table}
-    said = verdict(parts)
-    assert said.startswith("Verdict: ")
+    said = conclusion_of(parts)
+    assert said.startswith("Result: ")
     heads = {True: "equal: ", False: "different: ", None: "not recorded, or not to its end: "}
     found: dict[str, bool | None] = {}
-    for section in said.removeprefix("Verdict: ").partition(".")[0].split("; "):
+    for section in said.removeprefix("Result: ").partition(".")[0].split("; "):
         for value, head in heads.items():
             if section.startswith(head):
                 found |= dict.fromkeys(section.removeprefix(head).split(", "), value)
@@ -875,5 +875,5 @@ def test_a_verdict_names_each_part_once(
     assert ("was changed" in said) is (not senses)
     altered = senses and table and False in (commands, rewards)
     assert ("was altered" in said) is bool(altered)
-    assert ("so far" in verdict(parts, whole=False)) is ("bit for bit" in said)
-    assert "bit for bit" not in verdict(parts, whole=False)
+    assert ("so far" in conclusion_of(parts, whole=False)) is ("bit for bit" in said)
+    assert "bit for bit" not in conclusion_of(parts, whole=False)

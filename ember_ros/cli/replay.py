@@ -43,11 +43,11 @@ def _rate(text: str, **more: Any) -> options.Adds:
 def replay_command(
     bag: Path, way: str, rate: float, namespace: str | None, table_file: Path | None
 ) -> None:
-    """Run a recorded run again, and hold it against the record.
+    """Run a recorded run again, and compare it with the record.
 
-    Four fresh leg modules start as the recorded ones did, and are shown what these sensed. Every
-    command and the table at the end must be equal, bit for bit. The exit code is 0 if they are, 1
-    if not; then the first difference is told.
+    New leg modules start as the recorded ones did, and receive the recorded senses. Every command
+    and the table at the end must be equal, bit for bit. The exit code is 0 if they are, and 1 if
+    not; then the first difference is printed.
 
     \b
     ember replay walk
@@ -73,15 +73,15 @@ def replay_command(
             update(done.ticks, f"{done.ticks} ticks")
         if table_file is not None:
             save_table(table_file, done.table, opened.params, 0)
-            console.print(f"In {table_file}: the table in the end")
-    console.print(grid(replay.told(done, opened.params.gait.tick_s)))
+            console.print(f"In {table_file}: the table at the end")
+    console.print(grid(replay.describe(done, opened.params.gait.tick_s)))
     if done.missing:
         console.print(f"The record ends early: {done.missing}.")
     if done.difference is not None:
         console.print(f"First difference: {done.difference}.")
-    if done.paid_otherwise is not None:
-        console.print(f"First difference in what a leg was paid: {done.paid_otherwise}.")
-    console.print(replay.verdict(done.parts, whole=not (done.stopped or done.missing)))
+    if done.transition_difference is not None:
+        console.print(f"First difference in a transition: {done.transition_difference}.")
+    console.print(replay.conclusion_of(done.parts, whole=not (done.stopped or done.missing)))
     if not done.equal:
         sys.exit(DIFFERENT)
     if stop.asked:
@@ -110,7 +110,7 @@ def _robot(bag: Path, namespace: str | None, way: str) -> Bag:
     "--live",
     multiple=True,
     metavar="LEG",
-    help="Leave this leg's commands out: a live leg node says them. It begins when that is there.",
+    help="Leave out this leg's commands: a live leg node publishes them. Waits for that node.",
 )
 @options.robot()
 def play_command(
@@ -215,8 +215,8 @@ def relearn_command(
     """Learn a table from bags, with other numbers, without one new tick.
 
     Q-learning is off-policy: whatever the legs did when the bags were recorded, the table that
-    would have been learnt from it with these rewards, partitions and rates is worked out, bag
-    after bag in the order given. Numbers are those of the first bag, or those of --params.
+    would have been learnt from it with these rewards, partitions and rates is computed, bag after
+    bag in this order. Parameters are those of the first bag, or those of --params.
 
     \b
     ember relearn walk --gamma 0.9 --reward.slip 2
@@ -269,8 +269,8 @@ def relearn_command(
         "start_table": str(table) if table else None,
     }
     relearn.write(learnt, out, asked)
-    console.print(grid(relearn.told(learnt)))
-    console.print(f"In {out}: {', '.join(relearn.LEFT)}")
+    console.print(grid(relearn.describe(learnt)))
+    console.print(f"In {out}: {', '.join(relearn.OUTPUTS)}")
     new = f"--table {out / relearn.TABLE} --params {out / relearn.PARAMS}"
     console.print(f"ember walk {new}")
 

@@ -1,8 +1,8 @@
-"""Learns again from what legs once sensed and did, with other numbers: Q-learning is off-policy.
+"""Learns from recorded senses and actions with other parameters: Q-learning is off-policy.
 
-It is a replay in which the legs are told what to do: the same modules, the same sync, the same
-merge, one action after the other as it was recorded. So with the numbers of the run itself the
-table comes out that was learnt then, and with others the one that would have been. Pure.
+It is a replay with a policy that returns the recorded actions: the same modules, the same sync and
+the same merge. With the parameters of the run itself the result is the table that was learnt then;
+with others it is the table that the run would have learnt with them. Pure.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from leg_node.shared import SharedTable
 from leg_node.table import Table
 from leg_node.table_file import save_table
 
-TABLE, PARAMS, TOLD = "table.npz", "params.yaml", "relearn.json"
-LEFT = (TABLE, PARAMS, TOLD)
-"""What is written into a folder, and replaced by the next one there."""
+TABLE, PARAMS, SUMMARY = "table.npz", "params.yaml", "relearn.json"
+OUTPUTS = (TABLE, PARAMS, SUMMARY)
+"""The files that ``write`` writes into a folder."""
 
 
 class Relearnt(NamedTuple):
@@ -34,7 +34,7 @@ class Relearnt(NamedTuple):
 
     table: Table
     params: Params
-    """That it was learnt with."""
+    """Those of the learning."""
     ticks: int
     updates: int
     """Of cells of the table."""
@@ -48,19 +48,19 @@ class Relearnt(NamedTuple):
         return int((self.table.visits > 0).sum())
 
 
-class _Told:
-    """A policy that does as it is told."""
+class _RecordedPolicy:
+    """A policy that returns the recorded action."""
 
     def __init__(self) -> None:
         self.action = 0
 
     def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
-        """Return what was done."""
+        """Return the recorded action."""
         return self.action
 
 
 class _Actions:
-    """Which action a recorded command was."""
+    """The action of each recorded command."""
 
     def __init__(self, bag: Bag) -> None:
         self._path = bag.path
@@ -73,8 +73,7 @@ class _Actions:
         except KeyError:
             raise BagError(
                 f"{self._path}: tick {command.tick}, {leg}: a knee speed of {command.knee_speed} "
-                "rad/s is none of leg.knee_speeds; learnt from can be what legs of these speeds "
-                "did"
+                "rad/s is none of leg.knee_speeds; a bag of legs with these speeds would be right"
             ) from None
 
 
@@ -95,15 +94,15 @@ def relearn(
         bags: folders.
         changes: full names of parameters (``reward.slip``) and their values, on top of ``params``.
         params: to learn with; those of the first bag for None.
-        stage: which learning numbers hold, ``train`` or ``walk``; the bag's own for None.
-        table: to start from, owned from now on; empty for None.
-        passes: how often all bags are gone through.
+        stage: whose learning parameters are used, ``train`` or ``walk``; the bag's own for None.
+        table: to start from, changed in place; an empty one for None.
+        passes: how often all bags are read.
         namespace: of the robot in each bag.
-        go_on: told how many ticks and falls are done; says whether to go on.
+        go_on: receives how many ticks and falls are done; returns whether to go on.
 
     Raises:
-        BagError: a bag cannot be used, or was recorded by another leg or gait.
-        ParameterError: a change is none.
+        BagError: a bag cannot be read, or was recorded with another leg or gait.
+        ParameterError: a change is invalid.
     """
     if not bags:
         raise BagError("there is no bag to learn from; name one or more")
@@ -122,25 +121,25 @@ def relearn(
         for n, path in enumerate(bags):
             with Bag(path, namespace=namespace, params=own) as bag:
                 _check(bag, own)
-                actions, told = _Actions(bag), _Told()
+                actions, policy = _Actions(bag), _RecordedPolicy()
                 legs = [
-                    make_leg(own, leg, stage=stage, policy=told, run=f"{turn}/{n}")
+                    make_leg(own, leg, stage=stage, policy=policy, run=f"{turn}/{n}")
                     for leg in bag.legs
                 ]
-                fallen, last, blind = 0, 0, set[tuple[int, str]]()
+                fall_count, last, incomplete = 0, 0, set[tuple[int, str]]()
                 for tick in bag.ticks():
                     for leg, sense, command in zip(legs, tick.senses, tick.commands, strict=True):
                         if sense is None or command is None:
                             skipped += 1
-                            blind.add((tick.tick, leg.leg))
+                            incomplete.add((tick.tick, leg.leg))
                             continue
-                        told.action = actions.of(leg.leg, command)
+                        policy.action = actions.of(leg.leg, command)
                         act(shared, leg, sense, tick.beat)
                     ticks += 1
-                    fallen, last = tick.body.falls, tick.tick
-                    if not go_on(ticks, falls + fallen):
+                    fall_count, last = tick.body.falls, tick.tick
+                    if not go_on(ticks, falls + fall_count):
                         raise BagError("stopped before all bags were learnt from")
-                changed = [each for each in bag.damages if each[:2] not in blind]
+                changed = [damage for damage in bag.damages if damage[:2] not in incomplete]
                 for damage in changed[:1]:
                     raise BagError(
                         f"{path}: tick {damage.tick}, {damage.leg}: senses are not those that "
@@ -149,34 +148,34 @@ def relearn(
                 for leg in legs:
                     flush(shared, leg, last)
                 shared.merge()
-                falls += fallen
+                falls += fall_count
     return Relearnt(table, own, ticks, int(table.visits.sum()) - before, skipped, falls)
 
 
 def _check(bag: Bag, params: Params) -> None:
-    """Raise a BagError if the bag's legs are not those that the parameters speak of."""
+    """Raise a BagError if gait, leg or robot are not those of the parameters."""
     was, now = as_dict(bag.params), as_dict(params)
     for group in ("gait", "leg", "robot"):
         for name, value in was[group].items():
             if now[group][name] != value:
                 raise BagError(
-                    f"{bag.path} was recorded with {group}.{name} = {value}, and is to be learnt "
-                    f"from with {now[group][name]}: what was sensed and done would mean something "
-                    "else; reward.*, state.*, train.* and walk.* may be changed"
+                    f"{bag.path} was recorded with {group}.{name} = {value}, and cannot be learnt "
+                    f"from with {now[group][name]}: its senses and actions would have another "
+                    "meaning; reward.*, state.*, train.* and walk.* may be changed"
                 )
 
 
 def short_forms(
     params: Params, stage: str, *, alpha: float | None, gamma: float | None, bins: int | None
 ) -> dict[str, Any]:
-    """Return the changes that stand behind short names.
+    """Return the changes of the options with short names.
 
     Args:
-        params: that they are changes to.
-        stage: which learning numbers hold.
-        alpha: least learning rate; a constant rate stays one. Unchanged for None, as all here.
-        gamma: discount a tick.
-        bins: of the hip's range.
+        params: before the changes.
+        stage: whose learning parameters are changed.
+        alpha: minimal learning rate; a constant rate stays constant. Every None changes nothing.
+        gamma: discount per tick.
+        bins: partitions of the hip's range.
     """
     changes = {f"{stage}.alpha_floor": alpha, f"{stage}.gamma": gamma, "state.hip_bins": bins}
     rate = params.walk.rate if stage == "walk" else params.train.rate
@@ -186,28 +185,28 @@ def short_forms(
 
 
 def refuse_to_replace(out: Path) -> None:
-    """Hold that ``write`` would replace nothing in a folder, of which there may be none yet.
+    """Refuse a folder in which ``write`` would replace a file.
 
     Raises:
-        ParameterError: it holds what an earlier one left.
+        ParameterError: the folder has such a file.
     """
-    kept = [name for name in LEFT if (out / name).exists()]
-    if kept:
+    existing = [name for name in OUTPUTS if (out / name).exists()]
+    if existing:
         raise ParameterError(
-            f"{out} holds {', '.join(kept)} already; give another --out, or --force to replace it"
+            f"{out} has {', '.join(existing)} already; give another --out, or --force to replace it"
         )
 
 
-def write(learnt: Relearnt, out: Path, asked: Mapping[str, Any]) -> None:
-    """Write the table, its parameters, and what was asked for with what came of it.
+def write(learnt: Relearnt, out: Path, request: Mapping[str, Any]) -> None:
+    """Write the table, its parameters, and a summary.
 
     Args:
-        learnt: what was learnt.
-        out: a folder, made if need be.
-        asked: what was asked for, as plain values.
+        learnt: the result.
+        out: a folder, made if it is missing.
+        request: the arguments of the command, as plain values, for the summary.
     """
-    found = {
-        **asked,
+    summary = {
+        **request,
         "ticks": learnt.ticks,
         "updates": learnt.updates,
         "skipped": learnt.skipped,
@@ -216,17 +215,17 @@ def write(learnt: Relearnt, out: Path, asked: Mapping[str, Any]) -> None:
         "cells": len(learnt.table),
         "table_sha256": learnt.table.sha256(),
     }
-    save_table(out / TABLE, learnt.table, learnt.params, 0, {"relearnt": found})
+    save_table(out / TABLE, learnt.table, learnt.params, 0, {"relearnt": summary})
     (out / PARAMS).write_text(dump_params(learnt.params), encoding="utf-8")
-    (out / TOLD).write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    (out / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
 
 
-def told(learnt: Relearnt) -> list[tuple[str, str]]:
-    """Return what was learnt as pairs of a name and what is to be said of it."""
+def describe(learnt: Relearnt) -> list[tuple[str, str]]:
+    """Return the result as pairs of a name and a text."""
     return [
-        ("ticks", f"{learnt.ticks}, {learnt.falls} falls among them"),
+        ("ticks", f"{learnt.ticks}, with {learnt.falls} falls"),
         ("updates", str(learnt.updates)),
-        ("skipped", f"{learnt.skipped} ticks of single legs without senses or command"),
+        ("skipped", f"{learnt.skipped} ticks of one leg without senses or command"),
         ("cells visited", f"{learnt.visited} of {len(learnt.table)}"),
         ("table SHA-256", learnt.table.sha256()[:12]),
     ]

@@ -1,6 +1,6 @@
-"""Runs a recorded run again: fresh legs in a world that only shows what was sensed. Pure.
+"""Runs a recorded run again: new legs in a world that returns the recorded senses. Pure.
 
-Who runs them is given: the loop, or what knows of nodes (``ember_ros.graph.by_graph``).
+The caller chooses the runner: the loop, or a graph of nodes (``ember_ros.graph.by_graph``).
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from leg_node.table import Table
 from leg_node.table_file import save_table
 
 GoOn = Callable[[int], bool]
-"""Told how many ticks are done; says whether to go on."""
+"""Receives how many ticks are done; returns whether to go on."""
 
 
 class Difference(NamedTuple):
-    """The first thing that came out otherwise than it was recorded."""
+    """The first value that differs from the record."""
 
     tick: int
     leg: str
@@ -41,10 +41,9 @@ class Difference(NamedTuple):
 
 
 class ReplayWorld:
-    """A world that was: it shows what was sensed, and holds what legs answer against the record.
+    """A world that returns the recorded senses, and compares the legs' commands with the record.
 
-    Nothing a leg does changes what comes next. It ends where the bag does, or where a leg's senses
-    are missing.
+    Commands do not change what follows. It ends with the bag, or where a leg's senses are missing.
     """
 
     def __init__(self, legs: Sequence[str], ticks: Iterator[Tick], rate: float = 0.0) -> None:
@@ -53,21 +52,22 @@ class ReplayWorld:
         Args:
             legs: their names, in order.
             ticks: of the bag.
-            rate: ticks a second to keep to; as fast as can be for 0.
+            rate: ticks per second of wall time; without a limit for 0.
 
         Raises:
             BagError: there is no tick.
         """
         self.legs = tuple(legs)
         self.compared = 0
-        """Commands that were held against the record."""
-        self.paid = 0
-        """Transitions that were held against the record."""
+        """Commands that were compared with the record."""
+        self.transitions_compared = 0
+        """Transitions that were compared with the record."""
         self.unanswered = dict.fromkeys(self.legs, 0)
         """Ticks without a recorded command, by leg."""
         self.difference: Difference | None = None
-        self.paid_otherwise: Difference | None = None
-        """The first thing that a leg was paid otherwise than it was recorded, or for another."""
+        """The first in a command or in the phase."""
+        self.transition_difference: Difference | None = None
+        """The first in a transition."""
         self.missing: str | None = None
         """Why the record ends before the bag does, if it does."""
         self._ticks = ticks
@@ -75,7 +75,7 @@ class ReplayWorld:
         self._due = time.monotonic()
         self._last: Tick | None = None
         self._next: Tick | None = None
-        self.work = 0.0  # nobody recorded it
+        self.work = 0.0  # not recorded
         self.over = False
         """Whether the record has ended."""
         self._advance()
@@ -83,7 +83,7 @@ class ReplayWorld:
             raise BagError(f"nothing to replay: {self.missing or 'there is no whole tick'}")
 
     def _advance(self) -> None:
-        """Take the next tick from the bag, if it is whole and follows."""
+        """Read the next tick of the bag; end if it is not complete, or not the following one."""
         self._last, self._next = self._next, next(self._ticks, None)
         if self._next is None:
             self.over = True
@@ -98,7 +98,7 @@ class ReplayWorld:
             self._next, self.over = None, True
 
     def observe(self) -> tuple[LegSense, ...]:
-        """Return what was sensed; after the end the last senses, to which nothing is credited."""
+        """Return the recorded senses; after the end the last ones, to which nothing is credited."""
         tick = self._next or self._last
         assert tick is not None
         over = self._next is None
@@ -109,7 +109,7 @@ class ReplayWorld:
         )
 
     def step(self, beat: Beat, commands: Sequence[LegCommand | None]) -> None:
-        """Hold the commands against those that were recorded, and go on."""
+        """Compare the commands with the record, and go to the next tick."""
         tick = self._next
         assert tick is not None
         for leg, command, recorded in zip(self.legs, commands, tick.commands, strict=True):
@@ -118,7 +118,7 @@ class ReplayWorld:
                 continue
             self.compared += 1
             if command != recorded and self.difference is None:
-                self.difference = _difference(leg, recorded, command)
+                self.difference = _command_difference(leg, recorded, command)
         if beat != tick.beat and self.difference is None:
             self.difference = Difference(tick.tick, "cpg", "phase", tick.beat.phase, beat.phase)
         if self._wait:
@@ -134,31 +134,33 @@ class ReplayWorld:
         body: BodyState,
         transitions: Sequence[Transition | None],
     ) -> None:
-        """Hold what the legs were paid against what was recorded, as an observer of the run."""
+        """Compare the transitions with the record, as an observer of the run."""
         assert self._next is not None
-        if self.paid_otherwise is not None:
+        if self.transition_difference is not None:
             return
-        for leg, did, recorded in zip(self.legs, transitions, self._next.transitions, strict=True):
-            self.paid += recorded is not None
-            if recorded is not None and did != recorded:
-                self.paid_otherwise = _paid_otherwise(leg, recorded, did)
+        for leg, transition, recorded in zip(
+            self.legs, transitions, self._next.transitions, strict=True
+        ):
+            self.transitions_compared += recorded is not None
+            if recorded is not None and transition != recorded:
+                self.transition_difference = _transition_difference(leg, recorded, transition)
                 return
 
     def body(self) -> BodyState:
-        """Return where the body was."""
+        """Return the recorded state of the body."""
         tick = self._next or self._last
         assert tick is not None
         return tick.body
 
     def reset(self) -> None:
-        """Refuse: a record is read from its beginning to its end, once."""
+        """Raise a BagError: a record is read once, from its beginning to its end."""
         raise BagError("a recorded world cannot be reset; open the bag again")
 
     def close(self) -> None:
-        """Do nothing: who opened the bag closes it."""
+        """Do nothing: the caller closes the bag."""
 
 
-def _difference(leg: str, recorded: LegCommand, command: LegCommand | None) -> Difference:
+def _command_difference(leg: str, recorded: LegCommand, command: LegCommand | None) -> Difference:
     if command is None:
         return Difference(recorded.tick, leg, "command", recorded, None)
     for field, was, now in zip(LegCommand._fields, recorded, command, strict=True):
@@ -167,34 +169,37 @@ def _difference(leg: str, recorded: LegCommand, command: LegCommand | None) -> D
     raise AssertionError(recorded)
 
 
-def _paid_otherwise(leg: str, recorded: Transition, did: Transition | None) -> Difference:
-    if did is None:
+def _transition_difference(
+    leg: str, recorded: Transition, transition: Transition | None
+) -> Difference:
+    if transition is None:
         return Difference(recorded.tick, leg, "transition", recorded, None)
-    was, now = _flat(recorded), _flat(did)
+    was, now = _flat(recorded), _flat(transition)
     for name in dict.fromkeys([*was, *now]):
         if was.get(name) != now.get(name):
             return Difference(recorded.tick, leg, name, was.get(name), now.get(name))
     raise AssertionError(recorded)
 
 
-def _flat(did: Transition) -> dict[str, object]:
-    """Return all of a transition by name."""
-    return {**did._asdict(), "terms": None, **{f"reward of {n}": v for n, v in did.terms}}
+def _flat(transition: Transition) -> dict[str, object]:
+    """Return all values of a transition by name, each term of the reward on its own."""
+    terms = {f"reward of {name}": value for name, value in transition.terms}
+    return {**transition._asdict(), "terms": None, **terms}
 
 
 class Replayed(NamedTuple):
-    """What a replay came to."""
+    """The result of a replay."""
 
     ticks: int
     cycles: float
     compared: int
-    """Commands that were held against the record."""
+    """Commands that were compared with the record."""
     unanswered: dict[str, int]
-    """Ticks in which a leg's command was not recorded, by leg, where there are any."""
+    """Ticks without a recorded command, by leg, for legs that have any."""
     difference: Difference | None
-    """The first in what was sensed or commanded, or None."""
-    paid_otherwise: Difference | None
-    """The first in what a leg was paid, or None."""
+    """The first in the senses, the commands or the phase, or None."""
+    transition_difference: Difference | None
+    """The first in a transition, or None."""
     missing: str | None
     """Why the replay ended before the bag, or None."""
     table: Table
@@ -207,54 +212,58 @@ class Replayed(NamedTuple):
     """Wall time."""
 
     parts: Mapping[str, bool | None]
-    """Whether senses, commands, rewards and table came out as they were recorded; None of what was
-    not, or not to its end."""
+    """Whether senses, commands, rewards and table are equal to the recorded ones; None of a part
+    that was not recorded, or not to its end."""
 
     @property
     def equal(self) -> bool:
-        """Return whether everything that was recorded came out again."""
+        """Return whether everything that was recorded is equal."""
         return self.missing is None and False not in self.parts.values()
 
 
 SENSES = "CRC-32 of the senses"
 
 
-def verdict(parts: Mapping[str, bool | None], *, whole: bool = True) -> str:
-    """Return in one line what is equal, what is not, and what that means.
+def conclusion_of(parts: Mapping[str, bool | None], *, whole: bool = True) -> str:
+    """Return in one line which parts are equal, which are not, and what follows from that.
 
     Args:
         parts: of ``Replayed``.
-        whole: whether the replay came to the end of the bag.
+        whole: whether the replay reached the end of the bag.
     """
     lists = {
         "equal": [name for name, same in parts.items() if same],
         "different": [name for name, same in parts.items() if same is False],
         "not recorded, or not to its end": [name for name, same in parts.items() if same is None],
     }
-    told = "; ".join(f"{how}: {', '.join(names)}" for how, names in lists.items() if names)
+    compared = "; ".join(f"{how}: {', '.join(names)}" for how, names in lists.items() if names)
     if not lists["different"]:
-        means = ". Equal, bit for bit" if whole else ". Equal so far"
-        means = "" if lists["equal"] == ["senses"] else means
+        conclusion = ". Equal, bit for bit" if whole else ". Equal so far"
+        conclusion = "" if lists["equal"] == ["senses"] else conclusion
     elif parts["senses"] is False:
-        means = ". The bag was changed after it was recorded"
+        conclusion = ". The bag was changed after it was recorded"
     elif parts["table"]:
-        means = ". What was learnt is the same: the record was altered, or the legs did not learn"
+        conclusion = (
+            ". The learned table is equal: the record was changed, or the legs did not learn"
+        )
     elif parts["commands"] is False:
-        means = ". The legs act otherwise than they did: another version, or another policy"
+        conclusion = ". The legs choose other actions: another version, or another policy"
     elif parts["rewards"] is False:
-        means = ". The legs act alike and are paid otherwise: another reward"
+        conclusion = (
+            ". The legs choose the same actions and receive other rewards: another reward function"
+        )
     else:
-        means = ". The legs act alike and learn otherwise: another version"
-    return f"Verdict: {told}{means}."
+        conclusion = ". The legs choose the same actions and learn another table: another version"
+    return f"Result: {compared}{conclusion}."
 
 
 Runner = Callable[[RunConfig, ReplayWorld, Path, GoOn], tuple[int, Table]]
-"""Runs a plan in a recorded world until the record is over or it is told no. It may write into the
-folder, and returns how many ticks it ran and the table in the end."""
+"""Runs a config in a recorded world until its end or ``GoOn`` returns False. It may write
+into the folder, and returns the number of ticks and the table at the end."""
 
 
 def by_loop(config: RunConfig, world: ReplayWorld, folder: Path, go_on: GoOn) -> tuple[int, Table]:
-    """Run a plan in a recorded world without ROS; a ``Runner``."""
+    """Run a config in a recorded world without ROS; a ``Runner``."""
     loop = Loop(config, world)
     while not world.over and go_on(loop.now):
         loop.tick(world)
@@ -272,17 +281,17 @@ def replay(
 
     Args:
         bag: an open one.
-        run: who runs it.
-        rate: times real time; as fast as can be for 0.
-        go_on: told how many ticks are done; says whether to go on.
+        run: what runs the config.
+        rate: times real time; without a limit for 0.
+        go_on: receives how many ticks are done; returns whether to go on.
 
     Raises:
-        BagError: the bag does not hold what determines the run; the message says what.
+        BagError: the bag does not hold all that determines the run.
     """
     if bag.run_metadata is None and bag.path.is_file():
         raise BagError(
-            f"{bag.path} does not say what determined the run; the bag's folder would be right, "
-            "of which this is one file"
+            f"{bag.path} does not say what determined the run: it is one file of a bag; the bag's "
+            "folder would be right"
         )
     if bag.run_metadata is None:
         raise BagError(
@@ -290,26 +299,26 @@ def replay(
             "was made by another recorder; `ember bag info`, `ember play` and `ember relearn` "
             "work with it"
         )
-    bag.run_metadata.config(0, None)  # says in words what cannot be replayed
+    bag.run_metadata.config(0, None)  # raises if it cannot be replayed
     if bag.table is None:
         raise BagError(f"{bag.path}: the table at its start is not in the bag")
     ticks_a_cycle = bag.params.gait.ticks
     world = ReplayWorld(bag.legs, bag.ticks(), rate / bag.params.gait.tick_s)
     with tempfile.TemporaryDirectory(prefix="ember_ros_replay_") as name:
         folder = Path(name)
-        start = folder / "start.npz"
-        save_table(start, bag.table, bag.params, 0)
-        # The world ends where the record does; there are no more cycles than phases.
-        config = bag.run_metadata.config(bag.phases(), start)
-        began = time.perf_counter()
+        table_file = folder / "start.npz"
+        save_table(table_file, bag.table, bag.params, 0)
+        # The world ends with the record; there are no more cycles than phases.
+        config = bag.run_metadata.config(bag.phases(), table_file)
+        start = time.perf_counter()
         done, table = run(config, world, folder, go_on)
-        seconds = time.perf_counter() - began
-    damages = [each for each in bag.damages if each.tick < done]
+        seconds = time.perf_counter() - start
+    damages = [damage for damage in bag.damages if damage.tick < done]
     recorded_sha256 = bag.table_sha256 if world.over and not world.missing else None
     parts = {
         "senses": not damages,
         "commands": world.difference is None if world.compared else None,
-        "rewards": world.paid_otherwise is None if world.paid else None,
+        "rewards": world.transition_difference is None if world.transitions_compared else None,
         "table": recorded_sha256 == table.sha256() if recorded_sha256 else None,
     }
     difference = world.difference
@@ -328,7 +337,7 @@ def replay(
         compared=world.compared,
         unanswered={leg: n for leg, n in world.unanswered.items() if n},
         difference=difference,
-        paid_otherwise=world.paid_otherwise,
+        transition_difference=world.transition_difference,
         missing=world.missing,
         table=table,
         recorded_sha256=recorded_sha256,
@@ -338,27 +347,27 @@ def replay(
     )
 
 
-def told(done: Replayed, tick_s: float) -> list[tuple[str, str]]:
-    """Return what a replay came to as pairs of a name and what is to be said of it.
+def describe(done: Replayed, tick_s: float) -> list[tuple[str, str]]:
+    """Return the result of a replay as pairs of a name and a text.
 
     Args:
-        done: the replay.
-        tick_s: of the gait, s.
+        done: the result.
+        tick_s: tick length of the gait, s.
     """
     faster = done.ticks * tick_s / done.seconds if done.seconds else 0.0
     lines = [
         ("ticks", f"{done.ticks} ({done.cycles:g} cycles), {faster:.0f} times real time"),
-        ("commands", f"{done.compared} held against the record"),
+        ("commands", f"{done.compared} compared with the record"),
     ]
     lines += [(leg, f"{n} ticks without a recorded command") for leg, n in done.unanswered.items()]
     sha256 = done.table.sha256()
     if done.stopped:
-        known = "not compared: stopped before the end"
+        comparison = "not compared: stopped before the end"
     elif done.recorded_sha256 is None:
-        known = "the run's own was not recorded"
+        comparison = "not compared: the bag has none"
     elif done.recorded_sha256 == sha256:
-        known = "as recorded"
+        comparison = "equal to the recorded one"
     else:
-        known = f"recorded was {done.recorded_sha256[:12]}"
-    lines.append(("table SHA-256", f"{sha256[:12]}, {known}"))
+        comparison = f"the recorded one is {done.recorded_sha256[:12]}"
+    lines.append(("table SHA-256", f"{sha256[:12]}, {comparison}"))
     return lines
