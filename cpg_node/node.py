@@ -12,13 +12,13 @@ from cpg_node.cpg import Beats
 from ember_ros import cdr, parts, topics, wire
 from ember_ros.errors import SignalError
 from ember_ros.inbox import Inbox
+from ember_ros.name_lock import SingleNode
 from ember_ros.ros_params import declare_options, declare_params
-from ember_ros.seat import Seated
-from ember_ros.spinning import main_of
+from ember_ros.spinning import node_main
 from ember_ros.worlds import legs_of
 
 
-class CpgNode(Seated, Node):  # type: ignore[misc]
+class CpgNode(SingleNode, Node):  # type: ignore[misc]
     """Hears the clock, publishes the beat.
 
     Subscribes: ``clock`` (rosgraph_msgs/Clock); for an oscillator that wants feedback also
@@ -35,13 +35,13 @@ class CpgNode(Seated, Node):  # type: ignore[misc]
 
         Raises:
             ParameterError: a parameter is unknown or out of range, or there is no such oscillator.
-            TakenError: there is another CPG in this namespace.
+            NameTakenError: there is another CPG in this namespace.
         """
         super().__init__("cpg_node", automatically_declare_parameters_from_overrides=True, **kwargs)
         self.done = False
         params = declare_params(self, self.GROUPS)
         options = declare_options(self, self.OPTIONS)
-        self.take_seat(topics.PHASE)
+        self.lock_name(topics.PHASE)
         self._tick_ns = params.gait.tick_ns
         self._beats = Beats(parts.make(params, "cpg", params))
         self._wire = wire.BeatWire(self._tick_ns)
@@ -77,12 +77,12 @@ class CpgNode(Seated, Node):  # type: ignore[misc]
         except SignalError as why:
             self.get_logger().warning(f"refused: {why}", throttle_duration_sec=5.0)
             return
-        if self._inbox.put(source, tick, value) or self._inbox.began_anew():
+        if self._inbox.put(source, tick, value) or self._inbox.time_restarted():
             self._publish(tick)
 
     def _publish(self, tick: int) -> None:
         """Publish the beat of a tick if all that it hangs on is there."""
-        heard = self._inbox.take(tick)
+        heard = self._inbox.pop(tick)
         if heard is None:
             return
         _, *parts_heard = heard
@@ -100,7 +100,7 @@ class CpgNode(Seated, Node):  # type: ignore[misc]
 
 def main(args: list[str] | None = None) -> None:
     """Run the node until a signal."""
-    sys.exit(main_of(CpgNode, args))
+    sys.exit(node_main(CpgNode, args))
 
 
 if __name__ == "__main__":

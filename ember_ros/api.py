@@ -26,7 +26,7 @@ from ember_ros.run_config import RunConfig
 from ember_ros.shipped import shipped_table
 from ember_ros.versions import provenance
 from leg_node.assembly import BLIND
-from leg_node.table_file import hold_meaning
+from leg_node.table_file import check_cells
 
 __all__ = ["load", "make_params", "train", "walk"]
 
@@ -275,7 +275,7 @@ def _run(
         start_cycle=_whole(start_cycle, "start_cycle"),
     )
     if start is not None:
-        hold_meaning("the table", cells_sha256(start.params), own)
+        check_cells("the table", cells_sha256(start.params), own)
     where = provenance()
     loop = Loop(config)
     try:

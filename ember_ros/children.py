@@ -20,7 +20,7 @@ AGAIN_S = 1.0
 _ROOM = str(Path(__file__).resolve().parents[1])  # last: it may be a bare checkout
 
 
-def command_of(module: str, *, begin: str = "") -> list[str]:
+def module_command(module: str, *, begin: str = "") -> list[str]:
     """Return the command that runs a module of ours; arguments for it come behind.
 
     Args:
@@ -34,13 +34,15 @@ def command_of(module: str, *, begin: str = "") -> list[str]:
     return [sys.executable, "-c", code]
 
 
-def child_of(module: str) -> list[str]:
+def child_command(module: str) -> list[str]:
     """Return the same for a child that ends when its standard input does.
 
     Its parent holds the other end, and never writes: it ends when the parent is gone, however that
     ended.
     """
-    return command_of(module, begin=f"from {__name__} import end_with_input; end_with_input(); ")
+    return module_command(
+        module, begin=f"from {__name__} import end_with_input; end_with_input(); "
+    )
 
 
 def end_with_input() -> None:

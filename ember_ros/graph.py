@@ -17,13 +17,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ember_ros.bag.storage import BagOptions
-from ember_ros.children import STOP_S, child_of
+from ember_ros.children import STOP_S, child_command
 from ember_ros.entry_points import NODES
 from ember_ros.errors import EmberError, GraphError
+from ember_ros.name_lock import (
+    NAME_TAKEN,
+    NameLock,
+    NameTakenError,
+    domain,
+    lock_robot,
+    wait_until_alone,
+)
 from ember_ros.params import as_dict, by_full_name
 from ember_ros.params_file import dump_params
 from ember_ros.run_config import RunConfig
-from ember_ros.seat import TAKEN, Seat, TakenError, domain, make_sure, run_seat
 from ember_ros.spinning import TURN_S, prepare_environment
 from leg_node.table_file import load_table
 
@@ -109,7 +116,7 @@ class Graph:
 
         Raises:
             EmberError: a parameter or the table cannot be used.
-            TakenError: another robot is running in this namespace.
+            NameTakenError: another robot is running in this namespace.
         """
         prepare_environment()
         import rclpy
@@ -137,10 +144,10 @@ class Graph:
             )
         self._context = context
         self._executor = EventsExecutor(context=context)
-        self._seat: Seat | None = None
+        self._lock: NameLock | None = None
         makers = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
         try:
-            self._seat = run_seat(context.get_domain_id(), namespace)
+            self._lock = lock_robot(context.get_domain_id(), namespace)
             for name, options in node_options(config, out, patience, bag).items():
                 make = makers.get(name, LegNode)
                 given = by_full_name(as_dict(config.params)) | options
@@ -170,11 +177,11 @@ class Graph:
         """Run until the plan's cycles are done or ``go_on`` says no, then finish every node.
 
         Raises:
-            TakenError: somebody else on the graph is what one of the nodes is; nothing has run.
+            NameTakenError: somebody else on the graph is what one of the nodes is; nothing has run.
             EmberError: a node could not end well; the others have.
         """
         if self._own_context:  # or the caller knows who is on the graph
-            make_sure(list(self.nodes.values()), go_on)
+            wait_until_alone(list(self.nodes.values()), go_on)
         while not self.sim.done and go_on():
             self.spin_once()
         self.finish()
@@ -200,8 +207,8 @@ class Graph:
             self._executor.remove_node(node)  # or it would keep their endpoints alive
             node.destroy_node()
         self.nodes.clear()
-        if self._seat is not None:
-            self._seat.leave()
+        if self._lock is not None:
+            self._lock.release()
         self._executor.shutdown()
         if self._own_context:
             self._context.try_shutdown()
@@ -257,10 +264,10 @@ class Processes:
             bag: where to record the run to; nowhere for None.
 
         Raises:
-            TakenError: another run is going on in this namespace.
+            NameTakenError: another run is going on in this namespace.
         """
         prepare_environment()
-        self._seat = run_seat(domain(), namespace)
+        self._lock = lock_robot(domain(), namespace)
         self.out = out
         self._logs = out / "log"
         params = self._logs / "params.yaml"
@@ -268,7 +275,7 @@ class Processes:
             self._logs.mkdir(parents=True, exist_ok=True)
             params.write_text(dump_params(config.params), encoding="utf-8")
         except OSError as error:
-            self._seat.leave()
+            self._lock.release()
             raise GraphError(
                 f"cannot write {error.filename}, for what the nodes are told and say: "
                 f"{error.strerror}"
@@ -283,7 +290,7 @@ class Processes:
             raise
 
     def _start(self, name: str, options: dict[str, Any], params: Path, namespace: str) -> None:
-        command = [*child_of(NODES.get(name, NODES["leg_node"])), "--ros-args"]
+        command = [*child_command(NODES.get(name, NODES["leg_node"])), "--ros-args"]
         command += ["--params-file", str(params), "-r", f"__node:={name}"]
         if namespace:
             command += ["-r", f"__ns:=/{namespace.strip('/')}"]
@@ -319,8 +326,8 @@ class Processes:
     def _died(self, name: str, process: subprocess.Popen[bytes]) -> None:
         log = self._logs / f"{name}.txt"
         last = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-3:]
-        if process.returncode == TAKEN:
-            raise TakenError(last[-1].removeprefix("error: "))
+        if process.returncode == NAME_TAKEN:
+            raise NameTakenError(last[-1].removeprefix("error: "))
         raise GraphError(
             f"{name} ended with code {process.returncode} before its time; its log {log} ends "
             f"with: {' / '.join(last) or 'nothing'}"
@@ -335,7 +342,7 @@ class Processes:
                     self.processes[name].send_signal(signal.SIGINT)
             for name in names:
                 self._reap(name)
-        self._seat.leave()
+        self._lock.release()
 
     def _reap(self, name: str) -> None:
         process = self.processes[name]

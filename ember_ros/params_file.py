@@ -15,8 +15,8 @@ from typing import Any
 
 import yaml
 
+from ember_ros.bounded_io import read_text
 from ember_ros.errors import ParameterError, shown
-from ember_ros.given import read_text
 from ember_ros.options import OPTION_NAMES, is_ros_own
 from ember_ros.params import Params, Spec, as_dict, check, replace
 

@@ -16,7 +16,7 @@ from ember_ros.arrays import Body, Bools, Commands, Pose, Senses, Ticks, pose_of
 from ember_ros.errors import RunError, TableError, need, shown
 from ember_ros.params import Params, params_sha256
 from ember_ros.report.run_statistics import Row, RunRecord, load_record
-from ember_ros.run import SUMMARY, TABLE, keep
+from ember_ros.run import SUMMARY, TABLE, save_run
 from ember_ros.run_config import RunConfig
 from leg_node.assembly import empty_table, make_discretizer
 from leg_node.discretizer import states_of
@@ -314,7 +314,7 @@ class Run(SavedRun):
         Raises:
             EmberError: it cannot be written, or holds an earlier run.
         """
-        keep(
+        save_run(
             self.config,
             Path(folder),
             self.record,

@@ -10,10 +10,10 @@ from ember_ros.params import Params
 from ember_ros.run import SUMMARY, TABLE
 from ember_ros.run_config import RunConfig
 from leg_node.policy import epsilon_at
-from leg_node.table_file import load_about, load_table, params_of, told_differences
+from leg_node.table_file import describe_differences, load_about, load_table, params_of
 
 
-def resumed(run: Path, world: str) -> tuple[int, Params]:
+def resume_point(run: Path, world: str) -> tuple[int, Params]:
     """Return how many cycles a run had come to, and its parameters.
 
     Args:
@@ -40,7 +40,7 @@ def resumed(run: Path, world: str) -> tuple[int, Params]:
     return cycle, params_of(run / TABLE, about)
 
 
-def beginning(config: RunConfig) -> list[str]:
+def start_messages(config: RunConfig) -> list[str]:
     """Return what is to be said before a run that starts from a table.
 
     Raises:
@@ -50,7 +50,7 @@ def beginning(config: RunConfig) -> list[str]:
         return []
     lines = []
     _, about = load_table(config.table, config.params)
-    other = told_differences(config.table, about, config.params)
+    other = describe_differences(config.table, about, config.params)
     if other is not None:
         lines.append(other)
     numbers = config.params.walk if config.stage == "walk" else config.params.train

@@ -44,7 +44,7 @@ from leg_node.journal import ENDINGS
 from leg_node.table import Table
 from leg_node.table_file import load_table, save_table
 
-WAYS = ("loop", "graph", "processes")
+BACKENDS = ("loop", "graph", "processes")
 CHECKPOINT_S = 5.0
 """Wall time between two savings of what the loop has learnt: what ``kill -9`` can cost."""
 EARLIER, PART = ".earlier", ".earlier.part"
@@ -75,7 +75,7 @@ def run(
 
     Args:
         config: what to run.
-        way: one of ``WAYS``.
+        way: one of ``BACKENDS``.
         out: a folder, made if need be.
         go_on: progress and stop.
         command: what was typed, for the summary.
@@ -105,7 +105,7 @@ def run(
         return _run(config, way, out, go_on, command, bag, namespace, where, start)
 
 
-def keep(
+def save_run(
     config: RunConfig,
     out: Path,
     record: RunRecord,
@@ -393,7 +393,7 @@ def _graph(
     except ModuleNotFoundError as error:
         raise no_ros(error) from error
     try:
-        tally = _Tally(out / CYCLES)
+        tally = _Progress(out / CYCLES)
         graph.run(lambda: go_on(*tally.read()))
     finally:
         graph.close()
@@ -405,7 +405,7 @@ def _processes(
     need_ros()  # say it here, not in seven logs
     from ember_ros.graph import processes
 
-    tally = _Tally(out / CYCLES)
+    tally = _Progress(out / CYCLES)
     with processes(config, out, bag=bag, namespace=namespace) as running:
         running.wait(lambda: go_on(*tally.read()))
 
@@ -422,7 +422,7 @@ def need_ros() -> None:
         raise no_ros(error) from error
 
 
-class _Tally:
+class _Progress:
     """Counts cycles and falls in a record that is growing."""
 
     EVERY_S = 0.1

@@ -27,7 +27,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 MAX_DOMAIN = 232
 """Of ROS_DOMAIN_ID: with a greater one, ports are beyond what UDP has."""
 TURN_S = 0.1  # the longest time until a signal is heard
-HAND_IN_S = 3.0
+FINAL_PUSH_S = 3.0
 """Least wall time that a leg that ends waits for the table to take what it learnt last."""
 LINGER_S = 4.0
 """Wall time that a node which is asked to stop serves those that still need it: longer than they
@@ -134,16 +134,16 @@ class Stop:
 
     def __init__(self) -> None:
         """Begin unasked."""
-        self.asked = False
+        self.requested = False
 
-    def ask(self, number: int = 0, frame: FrameType | None = None) -> None:
+    def request(self, number: int = 0, frame: FrameType | None = None) -> None:
         """Ask everybody who looks to come to an end."""
-        self.asked = True
+        self.requested = True
         if number == signal.SIGHUP:
-            let_go_of_terminal()
+            detach_terminal()
 
 
-def let_go_of_terminal() -> None:
+def detach_terminal() -> None:
     """Have what is said go nowhere, where it went to a terminal that is gone.
 
     It could not be written, and what is learnt must be saved all the same.
@@ -163,7 +163,9 @@ def stop_signals() -> Iterator[Stop]:
     """
     stop = Stop()
     ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    before = {s: signal.signal(s, stop.ask) for s in STOPS if not (ignored and s == signal.SIGHUP)}
+    before = {
+        s: signal.signal(s, stop.request) for s in STOPS if not (ignored and s == signal.SIGHUP)
+    }
     try:
         yield stop
     finally:
@@ -219,7 +221,7 @@ def _yaml(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value) or "''"
 
 
-def main_of(
+def node_main(
     make: type[N],
     args: list[str] | None = None,
     needed: Callable[[N], bool] = lambda node: False,
@@ -251,7 +253,7 @@ def main_of(
     from rclpy.experimental.events_executor import EventsExecutor
 
     from ember_ros.errors import EmberError
-    from ember_ros.seat import TAKEN, TakenError, make_sure
+    from ember_ros.name_lock import NAME_TAKEN, NameTakenError, wait_until_alone
 
     with stop_signals() as stop:
         node: N | None = None
@@ -259,10 +261,10 @@ def main_of(
             prepare_environment()
             _init(args)
             node = make()
-            make_sure([node], lambda: not stop.asked)
+            wait_until_alone([node], lambda: not stop.requested)
             executor = EventsExecutor()
             executor.add_node(node)
-            while not stop.asked and not node.done:
+            while not stop.requested and not node.done:
                 executor.spin_once(timeout_sec=TURN_S)
             deadline = time.monotonic() + LINGER_S
             while needed(node) and time.monotonic() < deadline:
@@ -271,7 +273,7 @@ def main_of(
             return 0
         except EmberError as error:
             print(f"error: {error}", file=sys.stderr)
-            return TAKEN if isinstance(error, TakenError) else 2
+            return NAME_TAKEN if isinstance(error, NameTakenError) else 2
         finally:
             if node is not None:
                 node.destroy_node()

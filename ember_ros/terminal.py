@@ -15,9 +15,9 @@ from rich.console import Console, ConsoleDimensions
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ember_ros.spinning import let_go_of_terminal
+from ember_ros.spinning import detach_terminal
 
-SAY_S = 10.0
+LINE_PERIOD_S = 10.0
 """Wall seconds between two lines that say how far a run is, where there is no terminal."""
 
 WIDE = 1000
@@ -54,7 +54,7 @@ class _Forgetful:
         except OSError as error:
             if error.errno != errno.EIO:
                 raise
-            let_go_of_terminal()
+            detach_terminal()
 
 
 class Terminal(Console):
@@ -87,7 +87,7 @@ aside = Terminal(stderr=True, highlight=False, markup=False)
 """How far it is goes here: to standard error, so that output can be piped on."""
 
 
-def typed() -> str:
+def command_line() -> str:
     """Return what was typed, for a text file: bytes that are no letters are spelt out."""
     command = shlex.join(["ember", *sys.argv[1:]])
     return command.encode("utf-8", "backslashreplace").decode()
@@ -118,7 +118,7 @@ def grid(
 
 @contextmanager
 def progress(label: str, total: float) -> Iterator[Update]:
-    """Show how far a run is: a bar on a terminal; elsewhere a line every ``SAY_S``.
+    """Show how far a run is: a bar on a terminal; elsewhere a line every ``LINE_PERIOD_S``.
 
     Nothing is shown before the first update: a mistake that is found before is said in one line.
 
@@ -169,7 +169,7 @@ def _lines(label: str) -> Update:
 
     def update(done: float, told: str) -> None:
         nonlocal said
-        if time.monotonic() - said >= SAY_S:
+        if time.monotonic() - said >= LINE_PERIOD_S:
             aside.print(f"{label}: {told}")
             said = time.monotonic()
 

@@ -134,7 +134,7 @@ def read_pull(request: GetParameters.Request) -> tuple[int | None, int | None, l
     return bounds.get("since"), bounds.get("upto"), wanted
 
 
-def answer_pull(
+def write_pull_response(
     wanted: Sequence[str], changes: Changes, about: Callable[[], str]
 ) -> list[ParameterValue]:
     """Return one value a wanted name, in order."""

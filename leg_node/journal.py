@@ -12,8 +12,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from ember_ros.bounded_io import open_file
 from ember_ros.errors import TableError
-from ember_ros.given import open_file
 from ember_ros.signals import TDUpdate
 from leg_node.shared import UpdateBatch
 

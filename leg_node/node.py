@@ -15,10 +15,10 @@ from rclpy.task import Future
 from ember_ros import topics, wire
 from ember_ros.errors import ParameterError, SignalError, UpdateError
 from ember_ros.inbox import Inbox
+from ember_ros.name_lock import SingleNode
 from ember_ros.ros_params import declare_options, declare_params
-from ember_ros.seat import Seated
 from ember_ros.signals import Beat, LegCommand, LegSense
-from ember_ros.spinning import HAND_IN_S, main_of
+from ember_ros.spinning import FINAL_PUSH_S, node_main
 from ember_ros.throttle import Throttle
 from leg_node import calls
 from leg_node.assembly import make_leg
@@ -30,7 +30,7 @@ WATCH_S = 0.1  # wall time between looks at whether the table answers
 WAIT_S = 2.0  # wall time after which a leg says that it cannot begin without the table
 
 
-class LegNode(Seated, Node):  # type: ignore[misc]
+class LegNode(SingleNode, Node):  # type: ignore[misc]
     """One leg: hears its own senses and the phase, calls the table, says its own command.
 
     Subscribes: ``<leg>/joint_states``, ``<leg>/contact`` (sensor_msgs/JointState), ``cpg/phase``
@@ -56,7 +56,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
         Raises:
             ParameterError: a parameter is unknown or out of range, or there is no such leg.
             TableError: the file ``table`` cannot be used.
-            TakenError: there is another such leg in this namespace.
+            NameTakenError: there is another such leg in this namespace.
         """
         kwargs.setdefault("node_name", "leg_node")
         super().__init__(automatically_declare_parameters_from_overrides=True, **kwargs)
@@ -86,7 +86,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
         )
         self.refused = 0
         leg = self.module.leg
-        self.take_seat(topics.command(leg))
+        self.lock_name(topics.command(leg))
         self._inbox = Inbox("joints", "contact", "phase")
         self._beats = wire.BeatWire(params.gait.tick_ns)
         self._senses = wire.SenseWire(leg, params.gait.tick_ns)
@@ -147,7 +147,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
             return  # what is learnt is being handed in
         last = self._inbox.last
         if not self._inbox.put(source, tick, value):
-            if self._inbox.began_anew():
+            if self._inbox.time_restarted():
                 self.get_logger().warning(f"time began anew at tick {tick}, the last was {last}")
                 self.module.reset(last, uuid.uuid4().hex)
                 self._look(tick)
@@ -162,7 +162,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
             return
         if self.module.shared and self.module.copy.version is None and not self._table_is_there():
             return  # a leg does not start from nothing while the table is still starting
-        values = self._inbox.take(tick)
+        values = self._inbox.pop(tick)
         if values is not None:
             joints, contact, beat = values
             self._begin(self._senses.sense(tick, joints, contact), beat)
@@ -211,7 +211,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
     def _say(self, command: LegCommand) -> None:
         self._transition.publish(self._transitions.pack(self.module.transition))
         self._command.publish(self._commands.pack(command))
-        for tick in self._inbox.later("phase"):  # what came while this tick waited
+        for tick in self._inbox.pending("phase"):  # what came while this tick waited
             if self._waiting is None:
                 self._look(tick)
 
@@ -273,7 +273,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
         if self._waiting is None:
             if self._table_away and time.monotonic() > self._deadline:
                 self._probe()
-            for tick in self._inbox.later("phase"):  # a first tick that waited for the table
+            for tick in self._inbox.pending("phase"):  # a first tick that waited for the table
                 if self._waiting is None:
                     self._look(tick)
         elif time.monotonic() > self._deadline:
@@ -283,7 +283,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
                 return
             self._table_away = True
             self._pushing = None
-            self._throttle.say(
+            self._throttle.log(
                 "table",
                 f"the table does not answer within {self._patience} s: "
                 "going on alone, keeping what is learnt for it",
@@ -303,7 +303,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
     def _table_is_back(self) -> None:
         if self._table_away:
             self._table_away = False
-            self._throttle.say("table", "the table is back")
+            self._throttle.log("table", "the table is back")
 
     def finish(self, spin: Callable[[], None]) -> None:
         """Hand in what was learnt since the last epoch; wait a moment for the table to have it."""
@@ -313,7 +313,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
         copy = self.module.copy
         copy.close_epoch(self._inbox.last, early=True)
         now = again = time.monotonic()
-        deadline = now + max(HAND_IN_S, self._patience)
+        deadline = now + max(FINAL_PUSH_S, self._patience)
         while copy.push_due() is not None and (now := time.monotonic()) < deadline:
             if not self._push.service_is_ready():
                 break
@@ -329,7 +329,7 @@ class LegNode(Seated, Node):  # type: ignore[misc]
 
 def main(args: list[str] | None = None) -> None:
     """Run the node until a signal."""
-    sys.exit(main_of(LegNode, args))
+    sys.exit(node_main(LegNode, args))
 
 
 if __name__ == "__main__":

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ember_ros.bounded_io import open_file, read_json
 from ember_ros.errors import ParameterError, TableError, shown
-from ember_ros.given import open_file, read_json
 from ember_ros.params import (
     MAX_CELLS,
     Params,
@@ -137,13 +137,13 @@ def load_table(file: Path, params: Params) -> tuple[Table, dict[str, Any]]:
         ) from error
     if not np.isfinite(table.values).all() or (table.visits < 0).any():
         raise TableError(f"{file} holds values that are not finite or visits under 0")
-    hold_meaning(str(file), about.get("cells_sha256"), params)
+    check_cells(str(file), about.get("cells_sha256"), params)
     if about.get("table_sha256") != table.sha256():
         raise TableError(f"{file} is damaged: its content does not have the SHA-256 it names")
     return table, about
 
 
-def hold_meaning(what: str, cells: Any, params: Params) -> None:
+def check_cells(what: str, cells: Any, params: Params) -> None:
     """Hold that the cells of a table mean what parameters say.
 
     Args:
@@ -221,7 +221,7 @@ def _differences(was: Mapping[str, Any], now: Params) -> list[str]:
     ]
 
 
-def told_differences(
+def describe_differences(
     table: Path, was: Mapping[str, Any], now: Params, groups: Sequence[str] = ()
 ) -> str | None:
     """Return in one line what a table was learnt with that is not in force now; None for nothing.

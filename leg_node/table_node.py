@@ -15,20 +15,20 @@ from std_srvs.srv import SetBool, Trigger
 
 from ember_ros import topics
 from ember_ros.errors import EmberError, TableError, UpdateError
+from ember_ros.name_lock import SingleNode
 from ember_ros.params import as_dict, cells_sha256
 from ember_ros.ros_params import declare_options, declare_params
-from ember_ros.seat import Seated
-from ember_ros.spinning import main_of
+from ember_ros.spinning import node_main
 from ember_ros.throttle import Throttle
 from leg_node import calls
 from leg_node.assembly import empty_table, numbers_of
 from leg_node.journal import MAX_BATCHES, Journal, from_json, to_json
 from leg_node.shared import SharedTable
 from leg_node.table import Table
-from leg_node.table_file import load_table, save_table, told_differences
+from leg_node.table_file import describe_differences, load_table, save_table
 
 
-class TableNode(Seated, Node):  # type: ignore[misc]
+class TableNode(SingleNode, Node):  # type: ignore[misc]
     """Merges what the legs push, answers what they pull, never waits for anybody.
 
     Services: ``table/push`` (rcl_interfaces/SetParametersAtomically),
@@ -47,7 +47,7 @@ class TableNode(Seated, Node):  # type: ignore[misc]
         Raises:
             ParameterError: a parameter is unknown or out of range.
             TableError: the file ``table`` cannot be used.
-            TakenError: there is another table in this namespace.
+            NameTakenError: there is another table in this namespace.
         """
         super().__init__(
             "table_node", automatically_declare_parameters_from_overrides=True, **kwargs
@@ -55,7 +55,7 @@ class TableNode(Seated, Node):  # type: ignore[misc]
         self.done = False
         self._params = params = declare_params(self, self.GROUPS)
         options = declare_options(self, self.OPTIONS)
-        self.take_seat(topics.PUSH)  # before any file: they are the other one's, maybe
+        self.lock_name(topics.PUSH)  # before any file: they are the other one's, maybe
         self._save = Path(options["save"]) if options["save"] else None
         self._seed = options["seed"]
         self._numbers = numbers_of(params, options["stage"])
@@ -72,7 +72,7 @@ class TableNode(Seated, Node):  # type: ignore[misc]
                 self.get_logger().warning(f"going on from {given}, which is there already")
             table, about = load_table(given, params) if given else (empty_table(params), {})
             if given:
-                other = told_differences(given, about, params, self.GROUPS)
+                other = describe_differences(given, about, params, self.GROUPS)
                 if other is not None:
                     self.get_logger().warning(other)
             self.shared = self._share(table)
@@ -179,7 +179,7 @@ class TableNode(Seated, Node):  # type: ignore[misc]
             self._refuse(why)
             return response  # empty: all this type has to say no with
         changes = self.shared.pull(since, upto)
-        response.values = calls.answer_pull(wanted, changes, self._about)
+        response.values = calls.write_pull_response(wanted, changes, self._about)
         return response
 
     def _about(self) -> str:
@@ -239,7 +239,7 @@ class TableNode(Seated, Node):  # type: ignore[misc]
 
 def main(args: list[str] | None = None) -> None:
     """Run the node until a signal, serve legs that end at the same time, then write the table."""
-    sys.exit(main_of(TableNode, args, TableNode.is_needed))
+    sys.exit(node_main(TableNode, args, TableNode.is_needed))
 
 
 if __name__ == "__main__":

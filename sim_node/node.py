@@ -14,12 +14,12 @@ from rclpy.node import Node
 from ember_ros import cdr, topics, wire
 from ember_ros.bag.storage import BagOptions
 from ember_ros.errors import BagError, ParameterError, SignalError
+from ember_ros.name_lock import SingleNode
 from ember_ros.observer import Observer
 from ember_ros.report.run_statistics import RunStatistics
 from ember_ros.ros_params import declare_options, declare_params
-from ember_ros.seat import Seated
 from ember_ros.signals import Beat, LegCommand, Transition
-from ember_ros.spinning import main_of
+from ember_ros.spinning import node_main
 from ember_ros.throttle import Throttle
 from ember_ros.worlds import World, make_world
 from sim_node.recorders import BagObserver, RecorderLink, Waiting
@@ -30,7 +30,7 @@ WATCH_S = 0.05  # wall time between looks at who is late
 ANSWER_S = 5.0  # least wall time to wait for nodes to answer what determines the run
 
 
-class SimNode(Seated, Node):  # type: ignore[misc]
+class SimNode(SingleNode, Node):  # type: ignore[misc]
     """Publishes what each leg senses at a tick, and steps when all commands of that tick are in.
 
     In ``lockstep`` a leg that does not answer within ``patience`` is declared absent: its joints
@@ -68,13 +68,13 @@ class SimNode(Seated, Node):  # type: ignore[misc]
         Raises:
             ParameterError: a parameter is unknown or out of range, or PyBullet is missing.
             BagError: the bag cannot be made.
-            TakenError: there is another world in this namespace.
+            NameTakenError: there is another world in this namespace.
         """
         super().__init__("sim_node", automatically_declare_parameters_from_overrides=True, **kwargs)
         self.done = False
         params = declare_params(self, self.GROUPS)
         options = declare_options(self, self.OPTIONS)
-        self.take_seat(topics.CLOCK)
+        self.lock_name(topics.CLOCK)
         out = Path(options["out"]) if options["out"] else None
         if out is not None and (out / FINISHED).exists():
             raise ParameterError(
@@ -178,7 +178,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
             if leg in self._absent and not self._realtime:
                 # Late or not, it lives: wait for it from now on.
                 self._absent.discard(leg)
-                self._throttle.say(leg, f"{leg} is back at tick {self._tick}")
+                self._throttle.log(leg, f"{leg} is back at tick {self._tick}")
                 self._diagnose()
             if command.tick == self._tick and self._started:
                 self._commands[leg] = command
@@ -345,7 +345,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
                     self._with_transitions.discard(leg)  # it answers, without one
                 elif leg not in self._commands and leg not in self._absent:
                     self._absent.add(leg)
-                    self._throttle.say(
+                    self._throttle.log(
                         leg,
                         f"{leg} did not answer within {self._patience} s at tick {self._tick}: "
                         "absent, its joints are held still",
@@ -416,7 +416,7 @@ class SimNode(Seated, Node):  # type: ignore[misc]
 
 def main(args: list[str] | None = None) -> None:
     """Run the node until its cycles are done or a signal comes."""
-    sys.exit(main_of(SimNode, args))
+    sys.exit(node_main(SimNode, args))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from ember_ros import cdr, topics, wire
 from ember_ros.signals import BodyState
-from ember_ros.throttle import SAY_S
+from ember_ros.throttle import LOG_WINDOW_S
 
 
 class BodyPublisher:
@@ -104,7 +104,7 @@ class Lateness:
         """Count the legs that were late for a tick, and log if it is time."""
         self._late.update(late)
         now = time.monotonic()
-        if now - self._since < SAY_S or not (self._late or self._was_late):
+        if now - self._since < LOG_WINDOW_S or not (self._late or self._was_late):
             return
         if self._late:
             legs = ", ".join(f"{leg} {ticks}" for leg, ticks in sorted(self._late.items()))

@@ -24,7 +24,7 @@ ROS_FILES = (
     "test_installed.py",
     "test_nodes.py",
     "test_processes.py",
-    "test_seat.py",
+    "test_name_lock.py",
     "test_wire.py",
 )
 """All tests in these need ROS: without rclpy they cannot even be imported."""

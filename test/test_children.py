@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from ember_ros.children import child_of, command_of
+from ember_ros.children import child_command, module_command
 from ember_ros.params import Params
 from ember_ros.run import SUMMARY, TABLE
 from leg_node.table_file import load_table
@@ -59,7 +59,7 @@ def hostile(tmp_path: Path) -> Path:
 
 def test_a_process_imports_nothing_of_the_working_directory(hostile: Path) -> None:
     """Neither for Python's own modules nor for ours; arguments reach it."""
-    command = [*command_of("ember_ros.bag.writer_process"), '["bag", 0.0, 0.0]']
+    command = [*module_command("ember_ros.bag.writer_process"), '["bag", 0.0, 0.0]']
     (hostile / "bag").mkdir()
     done = child(command, cwd=hostile, env={**os.environ})
     assert (done.returncode, done.stdout, done.stderr) == (0, "ready\n", "")
@@ -89,7 +89,7 @@ def test_a_child_ends_when_its_input_does(tmp_path: Path) -> None:
     (tmp_path / "hard_of_hearing.py").write_text(HARD_OF_HEARING)
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
     with started(
-        child_of("hard_of_hearing"),
+        child_command("hard_of_hearing"),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=environment,

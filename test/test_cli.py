@@ -21,11 +21,11 @@ import yaml
 
 from ember_ros import terminal
 from ember_ros.cli.ember import COMMANDS
+from ember_ros.name_lock import lock_robot
 from ember_ros.params import Params
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.report.run_statistics import Row, load_record
 from ember_ros.run import EARLIER, SUMMARY, TABLE
-from ember_ros.seat import run_seat
 from ember_ros.spinning import Stop
 from leg_node.table_file import load_table
 from support.command import EMBER, child, ember, environment, nobody_reads, started
@@ -192,7 +192,7 @@ def test_ctrl_c_before_the_first_cycle_replaces_nothing(
     """It says that the earlier run is as it was, with the code of Ctrl-C."""
     run("train", "--cycles", 1)
     before = Path("out/train", SUMMARY).read_text()
-    monkeypatch.setattr(Stop, "__init__", Stop.ask)
+    monkeypatch.setattr(Stop, "__init__", Stop.request)
     assert "is as it was" in run("train", "--cycles", 2, "--force", code=130)
     assert Path("out/train", SUMMARY).read_text() == before
 
@@ -224,14 +224,14 @@ def test_progress_is_a_line_now_and_then_without_a_terminal(
     run: Run, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """On standard error, so that output can be piped on; and no line too often."""
-    monkeypatch.setattr(terminal, "SAY_S", 0.0)
+    monkeypatch.setattr(terminal, "LINE_PERIOD_S", 0.0)
     capfd.readouterr()
     assert ember("train", "--cycles", 3) == 0
     output, aside = capfd.readouterr()
     lines = [f"training (loop): {n}/3 cycles, 0 falls" for n in (0, 1, 2, 3)]
     assert aside.splitlines() == lines
     assert "training (loop)" not in output
-    monkeypatch.setattr(terminal, "SAY_S", 1000.0)
+    monkeypatch.setattr(terminal, "LINE_PERIOD_S", 1000.0)
     assert ember("train", "--cycles", 3, "--force") == 0
     assert capfd.readouterr().err == ""
 
@@ -390,12 +390,12 @@ def test_a_run_lives_beside_another_in_a_namespace_of_its_own(
 ) -> None:
     """In the same one it is refused, says how to live beside it, and ends with 2."""
     walk = ("walk", "--cycles", 2, "--on", way)
-    seat = run_seat(free_domain, "")
+    lock = lock_robot(free_domain, "")
     output = run(*walk, "--out", "a", code=2)
     assert f"error: / as a whole is taken by /sim_node (process {os.getpid()})" in output
     assert not Path("a", SUMMARY).exists()
     run(*walk, "--out", "a", "--namespace", "/lab/robot_2")
-    seat.leave()
+    lock.release()
     run(*walk, "--out", "b")
     a, b = (json.loads(Path(each, SUMMARY).read_text())["senses_sha256"] for each in "ab")
     assert a == b
@@ -404,14 +404,14 @@ def test_a_run_lives_beside_another_in_a_namespace_of_its_own(
 @pytest.mark.slow
 def test_a_namespace_is_of_the_demo_and_of_a_replay_too(run: Run, free_domain: int) -> None:
     """Beside a robot at the root; a bag's only robot is replayed in whichever is asked for."""
-    seat = run_seat(free_domain, "")
+    lock = lock_robot(free_domain, "")
     robot = ("--namespace", "robot_2")
     run("demo", "--cycles", 5, "--walk-cycles", 2, code=2)
     run("demo", "--cycles", 5, "--walk-cycles", 2, "--force", *robot)
     run("walk", "--cycles", 2, "--on", "loop", "--bag", "bag", "--out", "o")
     run("replay", "bag", "--on", "graph", code=2)
     assert "Equal, bit for bit" in run("replay", "bag", "--on", "graph", *robot)
-    seat.leave()
+    lock.release()
     assert "'2' is no namespace" in run("walk", "--namespace", "2", code=2)
     assert "no robot in robot_2" in run("replay", "bag", *robot, code=2)
 

@@ -146,7 +146,7 @@ def test_the_code_that_decides_is_all_that_runs(tmp_path: Path) -> None:
     # What is said of a trial, errors, a protocol, a file's format and its place: a table is held by
     # its SHA-256.
     idle |= {"ember_ros", "ember_ros.versions", "ember_ros.observer", "ember_ros.shipped"}
-    idle |= {"leg_node.table_file", "ember_ros.given", "ember_ros.errors"}
+    idle |= {"leg_node.table_file", "ember_ros.bounded_io", "ember_ros.errors"}
     assert house - idle == set(DECIDES)
 
 

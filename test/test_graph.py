@@ -674,7 +674,7 @@ def test_in_real_time_lateness_is_counted_and_told_now_and_then(
     ros: Ros, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """A leg that is gone and comes back is a line a window, not a line a tick."""
-    monkeypatch.setattr("sim_node.reports.SAY_S", 0.5)
+    monkeypatch.setattr("sim_node.reports.LOG_WINDOW_S", 0.5)
     said: list[str] = []
 
     def log() -> list[str]:

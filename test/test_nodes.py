@@ -27,7 +27,7 @@ from ember_ros.params import SPECS, Params, cells_sha256
 from ember_ros.run import SUMMARY
 from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, LegSense, TDUpdate
-from ember_ros.spinning import main_of
+from ember_ros.spinning import node_main
 from leg_node import calls
 from leg_node.assembly import empty_table, make_leg
 from leg_node.node import LegNode
@@ -292,7 +292,7 @@ def test_help_says_what_a_node_is_and_its_parameters(
     kind: Any, asked: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """All that are its own with their meaning, its groups, how ROS takes them; and it ends."""
-    assert main_of(kind, asked) == 0
+    assert node_main(kind, asked) == 0
     said = capsys.readouterr()
     assert not said.err
     for name in documented(kind, "Parameters", []):
@@ -311,7 +311,7 @@ def test_an_argument_that_nobody_knows_is_refused(
 ) -> None:
     """A parameter without ``--ros-args -p``, as it is often typed: one line, and 2."""
     for given in (["world:=trainer"], ["--ros-args", "-r", "__ns:=/x", "--", "world:=trainer"]):
-        assert main_of(kind, given) == 2
+        assert node_main(kind, given) == 2
         error = capsys.readouterr().err
         wanted = r"error: \w+_node has no argument 'world:=trainer'; --ros-args -p .*\n"
         assert re.fullmatch(wanted, error)
@@ -562,7 +562,7 @@ def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: 
     ) -> GetParameters.Response:
         pulls.append(request)
         since, upto, wanted = calls.read_pull(request)
-        response.values = calls.answer_pull(wanted, shared.pull(since, upto), str)
+        response.values = calls.write_pull_response(wanted, shared.pull(since, upto), str)
         return response
 
     make(ros, LegNode, leg="rear_left")
@@ -618,8 +618,8 @@ def test_a_publisher_that_cannot_be_heard_is_named_with_what_would_be_right(
     def says() -> bool:
         said.append(capfd.readouterr().err)
         return (
-            "a publisher of /leg/command cannot be heard for its durability: reliable and "
-            "transient_local, keeping the last, would be right"
+            "no messages from a publisher of /leg/command: its durability is incompatible; "
+            "reliable, transient_local and keep_last would be right"
         ) in "".join(said)
 
     ros.spin_until(says, "which topic, and what would be right")

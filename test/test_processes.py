@@ -19,15 +19,15 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.srv import GetParameters
 
 from ember_ros import topics
-from ember_ros.children import command_of
+from ember_ros.children import module_command
 from ember_ros.entry_points import NODES
 from ember_ros.errors import GraphError
 from ember_ros.graph import Graph, Processes, node_options, processes
+from ember_ros.name_lock import NAME_TAKEN, NameTakenError
 from ember_ros.params import Params, as_dict, replace
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.report.run_statistics import load_record
 from ember_ros.run_config import RunConfig
-from ember_ros.seat import TAKEN, TakenError
 from leg_node.table_file import load_table
 from support.legs import LEGS
 from support.robot import LEG_NODES, PATIENCE_S, level
@@ -329,7 +329,7 @@ def test_a_second_process_of_a_name_does_not_join(fleet: Fleet, tmp_path: Path) 
     }
     seconds = {
         name: subprocess.Popen(
-            [*command_of(NODES.get(name, NODES["leg_node"])), "--ros-args", *arguments],
+            [*module_command(NODES.get(name, NODES["leg_node"])), "--ros-args", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -346,7 +346,7 @@ def test_a_second_process_of_a_name_does_not_join(fleet: Fleet, tmp_path: Path) 
         said, _ = process.communicate(timeout=STOP_S)
         first = "leg_rear_left" if name == "leg_node" else name
         elder = fleet.processes[first].pid
-        assert process.returncode == TAKEN, said
+        assert process.returncode == NAME_TAKEN, said
         assert said.startswith("error: ")
         assert f" is taken by /{first} (process {elder}); " in said
         assert said.count("\n") == 1
@@ -357,10 +357,10 @@ def test_a_second_process_of_a_name_does_not_join(fleet: Fleet, tmp_path: Path) 
 def test_a_second_run_is_refused_before_it_starts_anything(ros: Ros, tmp_path: Path) -> None:
     """It says who is there, and makes no folder; in another namespace it would be another robot."""
     with processes(walk(), tmp_path / "first", patience=PATIENCE_S) as first:
-        with pytest.raises(TakenError, match=rf"/sim_node \(process {os.getpid()}\)"):
+        with pytest.raises(NameTakenError, match=rf"/sim_node \(process {os.getpid()}\)"):
             Processes(walk(), tmp_path / "second")
         assert not (tmp_path / "second").exists()
-        with pytest.raises(TakenError, match="/sim_node"):
+        with pytest.raises(NameTakenError, match="/sim_node"):
             Graph(walk(), context=ros.context)
         with closing(Graph(walk(), context=ros.context, namespace="robot_2")):
             first.wait(in_time())

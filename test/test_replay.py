@@ -57,13 +57,13 @@ def record(bag: Path, config: RunConfig, **how: Any) -> Made:
 raws_of = functools.cache(bags.raws_of)
 
 
-WAYS = {"loop": by_loop, "graph": by_graph}
+BACKENDS = {"loop": by_loop, "graph": by_graph}
 
 
 def again(bag: Path, on: str = "loop") -> Replayed:
     """Replay a bag."""
     with Bag(bag) as opened:
-        return replay(opened, run=WAYS[on])
+        return replay(opened, run=BACKENDS[on])
 
 
 def rewrite(made: Made, folder: Path, change: Callable[[Raw], bytes | None]) -> Path:
@@ -804,7 +804,7 @@ def test_the_bag_that_comes_with_the_package_is_replayed(on: str) -> None:
     """Recorded by another process, at another time: every command and the table come out equal."""
     with Bag(KEPT) as bag:
         assert bag.damages == []
-        done = replay(bag, run=WAYS[on])
+        done = replay(bag, run=BACKENDS[on])
     assert done.equal
     assert done.recorded_sha256 == done.table.sha256()
     assert done.cycles >= 20

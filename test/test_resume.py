@@ -11,7 +11,7 @@ import pytest
 from ember_ros.errors import ParameterError, TableError
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
-from ember_ros.resume import beginning, resumed
+from ember_ros.resume import resume_point, start_messages
 from ember_ros.run import SUMMARY, TABLE, run
 from ember_ros.run_config import MAX_INTEGER, RunConfig
 from leg_node.assembly import empty_table
@@ -52,12 +52,12 @@ def test_exploration_goes_on_where_it_was(tmp_path: Path) -> None:
 def test_a_run_is_resumed_with_what_it_had(tmp_path: Path, way: str) -> None:
     """Cycles add up, over two runs, and the parameters are the run's own."""
     go(tmp_path / "a", RunConfig("trainer", 4, params=EAGER, seed=1), way)
-    assert resumed(tmp_path / "a", "trainer") == (4, EAGER)
+    assert resume_point(tmp_path / "a", "trainer") == (4, EAGER)
     table = tmp_path / "a" / TABLE
     more = RunConfig("trainer", 3, params=EAGER, seed=2, table=table, start_cycle=4)
     told = go(tmp_path / "b", more, way)
     assert (told["start_cycle"], told["cycles"]) == (4, 3)
-    assert resumed(tmp_path / "b", "trainer") == (7, EAGER)
+    assert resume_point(tmp_path / "b", "trainer") == (7, EAGER)
     visits = [load_table(tmp_path / n / TABLE, EAGER)[0].visits.sum() for n in "ab"]
     assert visits == [4 * 32 - 1, 4 * 32 - 1 + 3 * 32 - 1]
 
@@ -77,29 +77,29 @@ def test_loop_and_graph_resume_alike(tmp_path: Path) -> None:
 def test_a_killed_run_is_resumed_from_its_checkpoint(tmp_path: Path) -> None:
     """It left a table that says how far it was, and no summary."""
     save_table(tmp_path / TABLE, empty_table(EAGER), EAGER, 0, {"cycle": 11})
-    assert resumed(tmp_path, "trainer") == (11, EAGER)
+    assert resume_point(tmp_path, "trainer") == (11, EAGER)
 
 
 def test_what_cannot_be_resumed_is_said(tmp_path: Path) -> None:
     """Another world, no word of how far it came, no table."""
     with pytest.raises(TableError, match="there is no table"):
-        resumed(tmp_path, "trainer")
+        resume_point(tmp_path, "trainer")
     save_table(tmp_path / TABLE, empty_table(EAGER), EAGER, 0)
     with pytest.raises(ParameterError, match="does not say how many cycles"):
-        resumed(tmp_path, "trainer")
+        resume_point(tmp_path, "trainer")
     told = {"world": "walker", "start_cycle": 0, "cycles": 3}
     (tmp_path / SUMMARY).write_text(json.dumps(told))
     with pytest.raises(ParameterError, match="is a run of the walker"):
-        resumed(tmp_path, "trainer")
+        resume_point(tmp_path, "trainer")
 
 
 def test_what_is_other_now_is_named(tmp_path: Path) -> None:
     """Parameters that differ from those a table was learnt with, and what exploring will do."""
     file = tmp_path / TABLE
     save_table(file, empty_table(EAGER), EAGER, 0)
-    assert beginning(RunConfig("walker", 1, params=EAGER, table=file)) == []
+    assert start_messages(RunConfig("walker", 1, params=EAGER, table=file)) == []
     now = replace(EAGER, {"reward.lead": 0, "walker.mass": 4.0})
-    lines = beginning(RunConfig("trainer", 1, params=now, table=file))
+    lines = start_messages(RunConfig("trainer", 1, params=now, table=file))
     assert lines[0] == (
         f"{file} was learnt with other parameters: walker.mass 5.0, now 4.0; reward.lead 2, now 0"
     )
@@ -107,9 +107,9 @@ def test_what_is_other_now_is_named(tmp_path: Path) -> None:
     many = {f"trainer.{n}": 0.4 for n in ("stop_low", "stop_height", "tip_mass")}
     many |= {f"reward.{n}": 0.1 for n in ("slip", "height", "force", "force_limit")}
     many |= {f"walker.{n}": 0.3 for n in ("radius", "hip_half_width", "mass")}
-    told = beginning(RunConfig("trainer", 1, params=replace(EAGER, many), table=file))
+    told = start_messages(RunConfig("trainer", 1, params=replace(EAGER, many), table=file))
     assert told[0].endswith("; and 2 more")
-    (only,) = beginning(RunConfig("trainer", 1, params=EAGER, table=file, start_cycle=10))
+    (only,) = start_messages(RunConfig("trainer", 1, params=EAGER, table=file, start_cycle=10))
     assert only == "going on from cycle 10, exploring 50 % at first"
 
 

@@ -13,7 +13,7 @@ from ember_ros.cli import main
 from ember_ros.errors import BagError, TableError
 from ember_ros.params import Params
 from ember_ros.shipped import BAG, DATA, TABLE
-from leg_node.table_file import load_table, told_differences
+from leg_node.table_file import describe_differences, load_table
 
 MAX_BYTES = 300_000
 
@@ -30,7 +30,7 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_table_is_of_this_version() -> None:
     """It was learnt with all of today's parameters; the README beside it says how it is made."""
     table, about = load_table(Path(TABLE), Params())
-    assert told_differences(Path(TABLE), about, Params()) is None
+    assert describe_differences(Path(TABLE), about, Params()) is None
     assert about["cycle"] == 6000
     assert table.visits.sum() > 0
     assert (DATA / f"{TABLE}.npz").stat().st_size < MAX_BYTES

@@ -631,7 +631,7 @@ def test_a_pull_survives_bit_for_bit(
     )
     asked_since, asked_upto, wanted = calls.read_pull(calls.write_pull(since, upto))
     assert (asked_since, asked_upto) == (-1 if since is None else since, upto)
-    response = GetParameters.Response(values=calls.answer_pull(wanted, changes, str))
+    response = GetParameters.Response(values=calls.write_pull_response(wanted, changes, str))
     read = calls.read_changes(response)
     assert read.version == version
     for ours, theirs in zip(read[1:], changes[1:], strict=True):
@@ -649,7 +649,7 @@ def test_a_pull_of_the_whole_table_is_the_table() -> None:
     request = GetParameters.Request(names=["about", "visits", "values", "cells", "version"])
     since, upto, wanted = calls.read_pull(request)
     assert (since, upto, wanted) == (None, None, request.names)
-    about, visits, values, cells, version = calls.answer_pull(
+    about, visits, values, cells, version = calls.write_pull_response(
         wanted, shared.pull(since, upto), lambda: "{}"
     )
     assert about.string_value == "{}"

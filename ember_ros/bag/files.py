@@ -31,8 +31,8 @@ from ember_ros.bag.guard import (
     check_topics,
 )
 from ember_ros.bag.storage import METADATA, STORAGES, VERSION, needs_rosbags, read_metadata
+from ember_ros.bounded_io import open_file
 from ember_ros.errors import BagError, shown
-from ember_ros.given import open_file
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
 MAGIC = b"\x89MCAP0\r\n"

@@ -18,7 +18,7 @@ from ember_ros import topics
 from ember_ros.bag.reader import Bag, Raw
 from ember_ros.bag.run_writer import absolute
 from ember_ros.errors import BagError
-from ember_ros.seat import Seat, TakenError
+from ember_ros.name_lock import NameLock, NameTakenError
 
 PAUSE = topics.Service("play/pause", "std_srvs/srv/SetBool")
 MAX_PER_TURN = 256
@@ -29,7 +29,7 @@ NOT_PLAYED = ("/rosout", "/parameter_events")
 """What `ros2 bag record --all` records too, and every node that runs publishes itself."""
 SHORTEST_S, LONGEST_S = 0.001, 0.05
 """Wall time between two looks at what is due: about a tick, within these."""
-LOOK_S = 1.0
+DISCOVERY_S = 1.0
 """Wall time that a player looks whether somebody else is on the topics."""
 
 
@@ -88,7 +88,7 @@ class PlayerNode(Node):  # type: ignore[misc]
         said = (topics.command, topics.transition)
         left_out = {absolute(bag.namespace, make(leg).name) for leg in live for make in said}
         self._sayers: dict[str, Any] = {}
-        self._seats: list[Seat] = []
+        self._locks: list[NameLock] = []
         for topic, connection in bag.connections.items():
             if topic in left_out or not topic.startswith(prefix) or topic.startswith(others):
                 continue
@@ -104,7 +104,7 @@ class PlayerNode(Node):  # type: ignore[misc]
             try:
                 named = topics.Topic(topic, connection.msgtype)
                 self._sayers[topic] = named.publish(self)
-                self._seats.append(self._seat(topic))
+                self._locks.append(self._lock(topic))
             except (ImportError, AttributeError, ValueError):
                 self.get_logger().warning(
                     f"{topic} is left out: there is no {connection.msgtype} in this environment"
@@ -133,11 +133,11 @@ class PlayerNode(Node):  # type: ignore[misc]
         tick_s = bag.params.gait.tick_s
         self.create_timer(min(max(tick_s / rate / 2, SHORTEST_S), LONGEST_S), self._turn)
 
-    def _seat(self, topic: str) -> Seat:
+    def _lock(self, topic: str) -> NameLock:
         """Take the seat of who says a topic, so that no robot begins beside the recorded one."""
         try:
-            return Seat(self.context.get_domain_id(), topic, self.get_fully_qualified_name())
-        except TakenError as why:
+            return NameLock(self.context.get_domain_id(), topic, self.get_fully_qualified_name())
+        except NameTakenError as why:
             taken = str(why).partition(";")[0]
             raise BagError(
                 f"a robot is running here: {taken}; stop it, or play in another ROS_DOMAIN_ID"
@@ -193,8 +193,8 @@ class PlayerNode(Node):  # type: ignore[misc]
     def destroy_node(self) -> None:
         """Destroy the node and leave its seats."""
         super().destroy_node()
-        for seat in self._seats:
-            seat.leave()
+        for lock in self._locks:
+            lock.release()
 
 
 @contextmanager
@@ -220,7 +220,7 @@ def playing(
         node = PlayerNode(bag, paused=True, **options)
         executor = EventsExecutor()
         executor.add_node(node)
-        deadline = time.monotonic() + LOOK_S
+        deadline = time.monotonic() + DISCOVERY_S
         while time.monotonic() < deadline and go_on():
             executor.spin_once(timeout_sec=LONGEST_S)
         if others := node.others():

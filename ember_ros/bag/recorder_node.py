@@ -21,7 +21,7 @@ from ember_ros.bag.storage import BagOptions, size_of
 from ember_ros.bag.writer_process import WriterProcess
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.ros_params import declare_options, declare_params
-from ember_ros.spinning import main_of
+from ember_ros.spinning import node_main
 
 POLL_S = 0.1
 """Wall time between two looks at what the graph and the nodes respond."""
@@ -119,7 +119,7 @@ class RecorderNode(Node):  # type: ignore[misc]
 
 def main(args: list[str] | None = None) -> None:
     """Run the node until a signal."""
-    sys.exit(main_of(RecorderNode, args))
+    sys.exit(node_main(RecorderNode, args))
 
 
 if __name__ == "__main__":

@@ -45,8 +45,8 @@ from ember_ros.bag.storage import (
     lock,
     read_metadata,
 )
+from ember_ros.bounded_io import open_file
 from ember_ros.errors import BagError
-from ember_ros.given import open_file
 
 MAX_QOS = 100
 """Profiles of one topic, which are its publishers."""

@@ -90,7 +90,7 @@ class RobotRecorder:
             if topic.name == topics.CLOCK.name:
                 self._publish_progress(bytes(data))
 
-        return self._absolute(topic).subscribe(self._node, callback, held=QUEUE_DEPTH)
+        return self._absolute(topic).subscribe(self._node, callback, depth=QUEUE_DEPTH)
 
     def _publish_progress(self, clock: bytes) -> None:
         """Publish the newest tick, once every ``PROGRESS_TICKS`` clock messages."""

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from ember_ros.bounded_io import read_json
 from ember_ros.errors import BagError, ParameterError, shown
-from ember_ros.given import read_json
 from ember_ros.params import (
     SPECS,
     Params,

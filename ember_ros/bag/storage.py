@@ -20,8 +20,8 @@ from typing import Any, NamedTuple, NoReturn
 import yaml
 
 from ember_ros.bag.guard import MAX_TEXT, check_file, load_yaml
+from ember_ros.bounded_io import read_text
 from ember_ros.errors import PIP, BagError
-from ember_ros.given import read_text
 
 METADATA = "metadata.yaml"
 STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}

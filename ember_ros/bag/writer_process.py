@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NoReturn, Protocol
 
 from ember_ros.bag.storage import BagOptions, McapWriter, make_folder
-from ember_ros.children import command_of
+from ember_ros.children import module_command
 from ember_ros.errors import BagError, need
 from ember_ros.versions import provenance
 
@@ -74,7 +74,7 @@ class WriterProcess:
         self._said: Any = tempfile.TemporaryFile()  # noqa: SIM115  what it says when it fails
         # A session of its own: Ctrl-C is for who records; this ends when there is no more to read.
         self._process = subprocess.Popen(
-            [*command_of(__name__), json.dumps([str(options.folder.resolve()), *options[1:]])],
+            [*module_command(__name__), json.dumps([str(options.folder.resolve()), *options[1:]])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._said,

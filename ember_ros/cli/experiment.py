@@ -19,7 +19,7 @@ from ember_ros.experiments.study import Size, Study, belongs
 from ember_ros.experiments.words import Found
 from ember_ros.params_file import load_params
 from ember_ros.spinning import stop_signals
-from ember_ros.terminal import console, doing, grid, progress, typed
+from ember_ros.terminal import command_line, console, doing, grid, progress
 
 
 @click.command("experiment")
@@ -110,7 +110,7 @@ def experiment_command(
 
 def _run(name: str, studies: list[Study], size: Size, trials: Path) -> list[Found]:
     with _going_on(name) as go_on:
-        found = reproduction.run(studies, size, trials, go_on, typed())
+        found = reproduction.run(studies, size, trials, go_on, command_line())
     if found is None:
         _stop(f"Stopped; what was run is in {trials}, and is not run again.")
     return found
@@ -135,7 +135,9 @@ def _redraw(studies: list[Study], out: Path) -> list[str]:
 def _relearn(seeds: int, cycles: int, walk_cycles: int, trials: Path) -> Found:
     folder = trials / relearn.NAME
     with _going_on(relearn.NAME, "seeds") as go_on:
-        found = relearn.relearn_experiment(seeds, cycles, walk_cycles, folder, go_on, typed())
+        found = relearn.relearn_experiment(
+            seeds, cycles, walk_cycles, folder, go_on, command_line()
+        )
     if len(found["seeds"]) < seeds:
         _stop(f"Stopped after {len(found['seeds'])} of {seeds} seeds; nothing was written.")
     return found
@@ -144,7 +146,7 @@ def _relearn(seeds: int, cycles: int, walk_cycles: int, trials: Path) -> Found:
 def _isotropy(cycles: int, walk_cycles: int, trials: Path) -> Found:
     need("pybullet", why="to build the worlds")
     with _going_on(isotropy.NAME) as go_on:
-        found = isotropy.isotropy_experiment(cycles, walk_cycles, trials, go_on, typed())
+        found = isotropy.isotropy_experiment(cycles, walk_cycles, trials, go_on, command_line())
     if found is None:
         _stop("Stopped; nothing was written.")
     return found
@@ -158,7 +160,7 @@ def _going_on(label: str, unit: str = "%") -> Iterator[Callable[[int, int], bool
         def go_on(done: int, of: int) -> bool:
             percent = 100 * done // of
             update(percent, f"{percent} %" if unit == "%" else f"{done}/{of} {unit}")
-            return not stop.asked
+            return not stop.requested
 
         yield go_on
 
@@ -192,6 +194,6 @@ def bench_command(
     params = load_params(*params_files, settings=settings)
     with doing("measuring") as say:
         found = bench.bench(params, say=say, **sizes)
-    made = bench.write(found, out, typed())
+    made = bench.write(found, out, command_line())
     console.print(grid(bench.lines(found)))
     _say_made(out, made)

@@ -20,7 +20,7 @@ from ember_ros.offline import relearn, replay
 from ember_ros.params import SPECS, Params, replace
 from ember_ros.params_file import changed, load_params, read_settings
 from ember_ros.spinning import prepare_environment, stop_signals
-from ember_ros.terminal import console, grid, progress, typed
+from ember_ros.terminal import command_line, console, grid, progress
 from leg_node.table_file import load_table, save_table
 
 
@@ -64,7 +64,7 @@ def replay_command(
             def go_on(ticks: int) -> bool:
                 if ticks % 32 == 0:
                     update(ticks, f"{ticks} ticks")
-                return not stop.asked
+                return not stop.requested
 
             try:
                 done = replay.replay(opened, run=run, rate=rate, go_on=go_on)
@@ -84,7 +84,7 @@ def replay_command(
     console.print(replay.conclusion_of(done.parts, whole=not (done.stopped or done.missing)))
     if not done.equal:
         sys.exit(DIFFERENT)
-    if stop.asked:
+    if stop.requested:
         sys.exit(INTERRUPTED)
 
 
@@ -138,12 +138,12 @@ def play_command(
     with (
         stop_signals() as stop,
         Bag(bag, namespace=namespace) as opened,
-        playing(opened, lambda: not stop.asked, rate=rate, start_s=start, live=live) as player,
+        playing(opened, lambda: not stop.requested, rate=rate, start_s=start, live=live) as player,
     ):
         node, turn = player
         node.paused = paused
         with progress("playing", node.messages) as update, space() as pressed:
-            while not stop.asked and not node.done:
+            while not stop.requested and not node.done:
                 turn()
                 if pressed():
                     node.paused = not node.paused
@@ -152,7 +152,7 @@ def play_command(
         if node.failed is not None:
             raise node.failed
         console.print(f"{node.played} messages")
-    if stop.asked:
+    if stop.requested:
         sys.exit(INTERRUPTED)
 
 
@@ -241,7 +241,7 @@ def relearn_command(
         def go_on(ticks: int, falls: int) -> bool:
             if ticks % 64 == 0:
                 update(ticks, f"{ticks} ticks, {falls} falls")
-            return not stop.asked
+            return not stop.requested
 
         try:
             learnt = relearn.relearn(
@@ -255,13 +255,13 @@ def relearn_command(
                 go_on=go_on,
             )
         except BagError as error:
-            if not stop.asked:
+            if not stop.requested:
                 raise
             click.echo(f"error: {error}", err=True)
             sys.exit(INTERRUPTED)
         update(total, f"{learnt.ticks} ticks, {learnt.falls} falls")
     asked = {
-        "command": typed(),
+        "command": command_line(),
         "bags": [str(bag) for bag in bags],
         "passes": passes,
         "stage": stage,

@@ -16,12 +16,12 @@ from ember_ros.errors import ParameterError, need
 from ember_ros.params_file import changed, load_params
 from ember_ros.report import figures
 from ember_ros.report.summary import beside
-from ember_ros.resume import beginning, resumed
+from ember_ros.resume import resume_point, start_messages
 from ember_ros.run import (
+    BACKENDS,
     PICTURE,
     SUMMARY,
     TABLE,
-    WAYS,
     need_ros,
     recover,
     refuse_to_replace,
@@ -29,7 +29,7 @@ from ember_ros.run import (
 )
 from ember_ros.run_config import RunConfig
 from ember_ros.spinning import Stop, prepare_environment, stop_signals
-from ember_ros.terminal import console, grid, progress, typed
+from ember_ros.terminal import command_line, console, grid, progress
 
 
 def _of_a_run(*, cycles: int, out: str, way: str) -> options.Adds:
@@ -57,7 +57,7 @@ def _of_a_run(*, cycles: int, out: str, way: str) -> options.Adds:
         options.of_node("--policy", also="; scripted and random are baselines"),
         options.NAMESPACE,
         options.on(
-            WAYS,
+            BACKENDS,
             way,
             "loop: no ROS, fastest. graph: all nodes in this process. processes: one process a "
             "node. All three end with the same bits.",
@@ -120,7 +120,7 @@ def _run(
             raise ParameterError("--resume brings its own table: leave --table out")
         table = resume / TABLE
         recover(resume)
-        start_cycle, was = resumed(resume, world)
+        start_cycle, was = resume_point(resume, world)
         params = params if params_files else changed(was, settings)
     config = RunConfig(
         world,
@@ -136,7 +136,7 @@ def _run(
         raise ParameterError("--split-mb and --split-s are of a bag: give --bag too")
     if not force:
         refuse_to_replace(out)
-    for line in beginning(config):
+    for line in start_messages(config):
         console.print(line)
     with stop_signals() as stop:
         into = BagOptions(bag, split_mb, split_s) if bag else None
@@ -190,7 +190,7 @@ def demo_command(
         trained, first = _show(training, "loop", out / "train", stop, replace=force)
         (out / "demo.png").unlink(missing_ok=True)  # it shows another training
         summaries, records = {"one leg, trainer": first}, {"trained": trained}
-        if not stop.asked:
+        if not stop.requested:
             walked, second = _show(
                 walking, "graph", out / "walk", stop, namespace=namespace, replace=force
             )
@@ -201,7 +201,7 @@ def demo_command(
     runs = " and ".join(["train", "walk"][: len(summaries)])
     console.print(f"In {out}: {picture}, and the runs in {runs}")
     last = list(summaries.values())[-1]
-    if stop.asked:
+    if stop.requested:
         _end_early(last, out / ("walk" if len(summaries) > 1 else "train"))
 
 
@@ -222,9 +222,9 @@ def _show(
 
         def go_on(done: int, falls: int) -> bool:
             update(done, f"{done}/{config.cycles} cycles, {falls} falls")
-            return not stop.asked
+            return not stop.requested
 
-        record, summary = run(config, way, out, go_on, typed(), bag, namespace, replace)
+        record, summary = run(config, way, out, go_on, command_line(), bag, namespace, replace)
         go_on(summary["cycles"], summary["falls"])
     return record, summary
 
