@@ -19,9 +19,9 @@ from ember_ros.worlds import legs_of
 
 
 class CpgNode(SingleNode, Node):  # type: ignore[misc]
-    """Hears the clock, publishes the beat.
+    """The central pattern generator: publishes the phase of the gait at every tick.
 
-    Subscribes: ``clock`` (rosgraph_msgs/Clock); for an oscillator that wants feedback also
+    Subscribes: ``clock`` (rosgraph_msgs/Clock); for an oscillator with feedback also
     ``<leg>/joint_states`` and ``<leg>/contact`` (sensor_msgs/JointState) of all legs.
     Publishes: ``cpg/phase`` (sensor_msgs/JointState): stamp, and cycles since the start.
     Parameters: ``gait.*``, ``robot.*``, ``parts.*``; ``world``.
@@ -34,7 +34,8 @@ class CpgNode(SingleNode, Node):  # type: ignore[misc]
         """Make the node; ``kwargs`` go to rclpy's ``Node``.
 
         Raises:
-            ParameterError: a parameter is unknown or out of range, or there is no such oscillator.
+            ParameterError: a parameter is unknown or out of range, or the oscillator cannot be
+                imported.
             NameTakenError: there is another CPG in this namespace.
         """
         super().__init__("cpg_node", automatically_declare_parameters_from_overrides=True, **kwargs)
@@ -53,25 +54,25 @@ class CpgNode(SingleNode, Node):  # type: ignore[misc]
             self._senses = {leg: wire.SenseWire(leg, self._tick_ns) for leg in legs}
         sources = [f"{leg} {part}" for leg in self._senses for part in ("joints", "contact")]
         self._inbox = Inbox("clock", *sources)
-        topics.CLOCK.subscribe(self, self._hear_clock)
+        topics.CLOCK.subscribe(self, self._on_clock)
         for leg, senses in self._senses.items():
             joints, contact = f"{leg} joints", f"{leg} contact"
-            topics.joint_states(leg).subscribe(self, self._listener(joints, senses.read_joints))
-            topics.contact(leg).subscribe(self, self._listener(contact, senses.read_contact))
+            topics.joint_states(leg).subscribe(self, self._on_sense(joints, senses.read_joints))
+            topics.contact(leg).subscribe(self, self._on_sense(contact, senses.read_contact))
 
-    def _listener(
+    def _on_sense(
         self, source: str, read: Callable[[bytes], tuple[int, Any]]
     ) -> Callable[[bytes], None]:
-        return lambda data: self._hear(source, data, read)
+        return lambda data: self._receive(source, data, read)
 
-    def _hear_clock(self, data: bytes) -> None:
-        self._hear("clock", data, self._read_clock)
+    def _on_clock(self, data: bytes) -> None:
+        self._receive("clock", data, self._read_clock)
 
     def _read_clock(self, data: bytes) -> tuple[int, None]:
-        # A clock between two ticks tells of the one that has begun.
+        # A time between two ticks belongs to the tick that has started.
         return cdr.read_clock(data, topics.CLOCK.name) // self._tick_ns, None
 
-    def _hear(self, source: str, data: bytes, read: Callable[[bytes], tuple[int, Any]]) -> None:
+    def _receive(self, source: str, data: bytes, read: Callable[[bytes], tuple[int, Any]]) -> None:
         try:
             tick, value = read(data)
         except SignalError as why:
@@ -81,21 +82,21 @@ class CpgNode(SingleNode, Node):  # type: ignore[misc]
             self._publish(tick)
 
     def _publish(self, tick: int) -> None:
-        """Publish the beat of a tick if all that it hangs on is there."""
-        heard = self._inbox.pop(tick)
-        if heard is None:
+        """Publish the beat of a tick if all messages that it depends on have arrived."""
+        values = self._inbox.pop(tick)
+        if values is None:
             return
-        _, *parts_heard = heard
+        _, *sense_parts = values
         feedback = [
             senses.sense(tick, joints, contact)
             for senses, joints, contact in zip(
-                self._senses.values(), parts_heard[::2], parts_heard[1::2], strict=True
+                self._senses.values(), sense_parts[::2], sense_parts[1::2], strict=True
             )
         ]
         self._publisher.publish(self._wire.pack(self._beats.at(tick, feedback)))
 
     def finish(self, spin: Callable[[], None]) -> None:
-        """Nothing to bring home."""
+        """Do nothing: there is nothing to save."""
 
 
 def main(args: list[str] | None = None) -> None:

@@ -320,7 +320,7 @@ class Run(SavedRun):
             self.record,
             self.table.cells(),
             command=f"ember_ros.{'train' if self.config.stage == 'train' else 'walk'}",
-            where=self.provenance,
+            origin=self.provenance,
             start=self.start_sha256,
             replace=replace,
         )

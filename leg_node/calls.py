@@ -1,7 +1,7 @@
-"""The only conversion between the table's service calls and values. It changes no bit of a number.
+"""Converts between the table's service messages and Python values, bit for bit.
 
-An ament_python package cannot generate service types; the two used here carry named arrays, and can
-be called from a terminal. Readers refuse what is not as it should be with a ``UpdateError``.
+An ament_python package cannot generate service types. The two standard types used here carry named
+arrays and can be called from a terminal. Readers raise ``UpdateError`` for a malformed message.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def _value(kind: int, value: Any) -> ParameterValue:
 
 
 def write_push(push: UpdateBatch) -> SetParametersAtomically.Request:
-    """Return the request that carries a push."""
+    """Return the request of ``table/push`` for a push."""
     fields: dict[str, Any] = {
         "leg": push.leg,
         "run": push.run,
@@ -63,19 +63,19 @@ def write_push(push: UpdateBatch) -> SetParametersAtomically.Request:
 
 
 def read_push(request: SetParametersAtomically.Request) -> UpdateBatch:
-    """Return the push in a request.
+    """Return the push in a request of ``table/push``.
 
     Raises:
-        UpdateError: a field is missing, unknown, twice there, of the wrong type, or the arrays are
-            of unequal length.
+        UpdateError: a field is missing, unknown, repeated or of the wrong type, or the arrays have
+            different lengths.
     """
     fields: dict[str, Any] = {}
     for parameter in request.parameters:
         name, kind = parameter.name, parameter.value.type
         if name not in _PUSH or name in fields:
             raise UpdateError(
-                f"push: field {name!r} is unknown or twice there; once each of "
-                f"{', '.join(_PUSH)} would be right"
+                f"push: field {name!r} is unknown or repeated; {', '.join(_PUSH)}, each once, "
+                "would be right"
             )
         if kind != _PUSH[name]:
             raise UpdateError(
@@ -89,7 +89,7 @@ def read_push(request: SetParametersAtomically.Request) -> UpdateBatch:
     lengths = [len(fields[name]) for name in ("tick", "cell", "target")]
     if len(set(lengths)) != 1:
         raise UpdateError(
-            f"push: tick, cell and target have {lengths} entries; as many each would be right"
+            f"push: tick, cell and target have {lengths} entries; equal numbers would be right"
         )
     updates = tuple(map(TDUpdate, fields["tick"], fields["cell"], fields["target"]))
     return UpdateBatch(
@@ -98,7 +98,12 @@ def read_push(request: SetParametersAtomically.Request) -> UpdateBatch:
 
 
 def write_pull(since: int | None, upto: int) -> GetParameters.Request:
-    """Return the request for what changed after a version with all epochs to ``upto`` merged."""
+    """Return the request of ``table/pull``.
+
+    Args:
+        since: version of the table that the caller has; None for the whole table.
+        upto: epoch up to which all updates must be merged.
+    """
     return GetParameters.Request(
         names=[
             f"since={-1 if since is None else since}",
@@ -112,10 +117,10 @@ def write_pull(since: int | None, upto: int) -> GetParameters.Request:
 
 
 def read_pull(request: GetParameters.Request) -> tuple[int | None, int | None, list[str]]:
-    """Return ``since``, ``upto`` (None where not given) and what is asked for, in order.
+    """Return ``since``, ``upto`` (None where missing) and the requested names, in order.
 
     Raises:
-        UpdateError: a name is not one of those that the service knows.
+        UpdateError: a name is unknown to the service, or a number is beyond 64 bits.
     """
     bounds: dict[str, int] = {}
     wanted: list[str] = []
@@ -124,11 +129,11 @@ def read_pull(request: GetParameters.Request) -> tuple[int | None, int | None, l
         if key in ("since", "upto") and number.removeprefix("-").isdecimal():
             bounds[key] = int(number)
             if not -(2**63) <= bounds[key] < 2**63:
-                raise UpdateError(f"pull: {name} is no 64-bit number")
+                raise UpdateError(f"pull: {name} is not a 64-bit number")
         elif name not in ("version", "cells", "values", "visits", "about"):
             raise UpdateError(
                 f"pull: {name!r} is unknown; since=VERSION, upto=EPOCH, version, cells, "
-                "values, visits, about are known"
+                "values, visits, about would be right"
             )
         wanted.append(name)
     return bounds.get("since"), bounds.get("upto"), wanted
@@ -137,7 +142,13 @@ def read_pull(request: GetParameters.Request) -> tuple[int | None, int | None, l
 def write_pull_response(
     wanted: Sequence[str], changes: Changes, about: Callable[[], str]
 ) -> list[ParameterValue]:
-    """Return one value a wanted name, in order."""
+    """Return the response of ``table/pull``: one value for each requested name, in order.
+
+    Args:
+        wanted: the requested names.
+        changes: of the table.
+        about: returns the JSON text with seed and parameters.
+    """
     out = []
     for name in wanted:
         key, _, number = name.partition("=")
@@ -156,10 +167,10 @@ def write_pull_response(
 
 
 def read_changes(response: GetParameters.Response) -> Changes:
-    """Return what changed from the answer to ``write_pull``.
+    """Return the changes in the response to a ``write_pull`` request.
 
     Raises:
-        UpdateError: the answer is empty: the table refused the request.
+        UpdateError: the response is empty because the table refused the request.
     """
     if len(response.values) != 6:
         raise UpdateError("pull: the table node refused; its log says why")

@@ -22,25 +22,25 @@ from ember_ros.signals import Beat, LegCommand, Transition
 from ember_ros.spinning import node_main
 from ember_ros.throttle import Throttle
 from ember_ros.worlds import World, make_world
-from sim_node.recorders import BagObserver, RecorderLink, Waiting
+from sim_node.recorders import BagObserver, RecorderLink, Timeout
 from sim_node.reports import BodyPublisher, Diagnostics, Lateness
 
-FINISHED = "summary.json"  # what `ember` writes last into the folder of a run
-WATCH_S = 0.05  # wall time between looks at who is late
-ANSWER_S = 5.0  # least wall time to wait for nodes to answer what determines the run
+FINISHED = "summary.json"  # the last file that `ember` writes into the folder of a run
+WATCH_S = 0.05  # wall time between checks for late legs
+METADATA_S = 5.0  # minimum wall time to wait for the nodes' part of the run's metadata
 
 
 class SimNode(SingleNode, Node):  # type: ignore[misc]
-    """Publishes what each leg senses at a tick, and steps when all commands of that tick are in.
+    """Simulates the robot's world: publishes the sensors of each leg, applies the legs' commands.
 
-    In ``lockstep`` a leg that does not answer within ``patience`` is declared absent: its joints
-    are held still and nobody waits for it until it answers again. While nobody at all answers, or
-    the phase is missing, the world stands still. In ``realtime`` every tick lasts its own length
-    of wall time, and who is late is held still for that tick.
+    In ``lockstep`` a tick ends when the phase and the commands of all legs have arrived. A leg
+    that does not respond within ``patience`` becomes absent: its joints are held still, and the
+    world does not wait for it until it responds again. While no leg responds, or the phase is
+    missing, the world stands still. In ``realtime`` every tick lasts its length in wall time, and a
+    leg whose command is late is held still for that tick.
 
-    A recorder node that tells how far it is is waited for too, so that it loses nothing: in
-    lockstep the world is never further ahead of it than what lies between two processes can hold.
-
+    In lockstep the world also waits for a recorder node that publishes ``recorder/tick``, so that
+    no message queue between the two overflows and the recorder loses nothing.
     Subscribes: ``cpg/phase`` (sensor_msgs/JointState), ``<leg>/command`` (sensor_msgs/JointState),
     ``<leg>/transition`` (sensor_msgs/JointState) of legs that publish one, ``recorder/tick``
     (std_msgs/Int64).
@@ -49,7 +49,7 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
     ``diagnostics`` (diagnostic_msgs/DiagnosticArray).
     Parameters: ``gait.*``, ``leg.*``, ``physics.*``, ``trainer.*``, ``walker.*``, ``robot.*``;
     ``world``, ``mode``, ``gui``, ``cycles``, ``patience``, ``out``, ``seed``; ``bag``,
-    ``split_mb``, ``split_s`` to record a bag; ``recorder`` to wait for a node that does.
+    ``split_mb``, ``split_s`` to record a bag; ``recorder`` to wait for a recorder node.
     """
 
     GROUPS = ("gait", "leg", "physics", "trainer", "walker", "robot")
@@ -62,12 +62,12 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
         """Make the node.
 
         Args:
-            world: where the legs are mounted; the one that the parameters name for None.
-            **kwargs: go to rclpy's ``Node``.
+            world: the world to simulate; the one that the parameters name for None.
+            **kwargs: passed to rclpy's ``Node``.
 
         Raises:
             ParameterError: a parameter is unknown or out of range, or PyBullet is missing.
-            BagError: the bag cannot be made.
+            BagError: the bag cannot be created.
             NameTakenError: there is another world in this namespace.
         """
         super().__init__("sim_node", automatically_declare_parameters_from_overrides=True, **kwargs)
@@ -86,12 +86,12 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
         self.legs = self.world.legs
         self.recorder = RunStatistics(params, self.legs, out)
         self.observers: list[Observer] = [self.recorder]
-        """Who is given every tick."""
+        """Objects whose ``tick`` is called for every tick."""
         self._bag: BagObserver | None = None
         self._failed: BagError | None = None
         if options["bag"]:
-            given = (options[name] for name in BagOptions._fields[1:])
-            self._bag = BagObserver(self, self._kind, BagOptions(Path(options["bag"]), *given))
+            split = (options[name] for name in BagOptions._fields[1:])
+            self._bag = BagObserver(self, self._kind, BagOptions(Path(options["bag"]), *split))
             self.observers.append(self._bag)
         self.refused = 0
         self._realtime = options["mode"] == "realtime"
@@ -106,7 +106,7 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
         self._absent: set[str] = set()
         self._started = False
         self._held = False  # whether the next tick waits for the recorder
-        self._since = time.monotonic()  # when the present tick was published, or held
+        self._since = time.monotonic()  # when the present tick was published, or first held
         self._throttle = Throttle(lambda text: self.get_logger().warning(text))
 
         self._clock_publisher = topics.CLOCK.publish(self)
@@ -126,24 +126,24 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             for leg in self.legs
         }
         self._recorder_link = RecorderLink(self, options["recorder"], self._refuse)
-        self._recorder_link.on_progress = self._go_on_if_held
-        self._waiting = Waiting(max(self._patience, ANSWER_S))
+        self._recorder_link.on_progress = self._continue_if_held
+        self._metadata_timeout = Timeout(max(self._patience, METADATA_S))
         if self._last == 0:
             self.done = True
         if self._realtime:
-            self.create_timer(params.gait.tick_s, self._every_tick)
+            self.create_timer(params.gait.tick_s, self._on_realtime_tick)
         else:
-            self.create_timer(WATCH_S, self._watch)
+            self.create_timer(WATCH_S, self._on_watch)
 
     @property
     def tick(self) -> int:
-        """Return the present tick: how many are done."""
+        """Return the present tick, which equals the number of finished ticks."""
         return self._tick
 
     # -- inputs ------------------------------------------------------------------------------
 
     def _refuse(self, why: Exception | str) -> None:
-        """Count what is not used, and log it now and then."""
+        """Count a message that is not used; log the count from time to time."""
         self.refused += 1
         self._throttle.remind("refused", f"refused ({self.refused} so far): {why}")
 
@@ -156,7 +156,7 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             self._refuse(why)
             return
         if beat.tick != self._tick:
-            self._refuse(f"cpg/phase: tick {beat.tick} is not now, now is {self._tick}")
+            self._refuse(f"cpg/phase: tick {beat.tick}, but the present tick is {self._tick}")
         elif self._started:
             self._beat = beat
             self._step_if_complete()
@@ -173,10 +173,10 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
                 self._refuse(why)
                 return
             if command.tick > self._tick:
-                self._refuse(f"{where}: tick {command.tick} is not yet, now is {self._tick}")
+                self._refuse(f"{where}: tick {command.tick}, but the present tick is {self._tick}")
                 return
             if leg in self._absent and not self._realtime:
-                # Late or not, it lives: wait for it from now on.
+                # Even a late command shows that the leg is alive: wait for it from now on.
                 self._absent.discard(leg)
                 self._throttle.log(leg, f"{leg} is back at tick {self._tick}")
                 self._diagnose()
@@ -184,7 +184,7 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
                 self._commands[leg] = command
                 self._step_if_complete()
             else:
-                self._refuse(f"{where}: tick {command.tick} is over, now is {self._tick}")
+                self._refuse(f"{where}: tick {command.tick} is over, the present is {self._tick}")
 
         return callback
 
@@ -204,25 +204,25 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
                 self._transitions[leg] = transition
                 self._step_if_complete()
             elif transition.tick > self._tick:
-                self._refuse(f"{where}: tick {transition.tick} is not yet, now is {self._tick}")
+                self._refuse(f"{where}: tick {transition.tick}, but the present is {self._tick}")
 
         return callback
 
     # -- one tick ----------------------------------------------------------------------------
 
     def _next(self) -> None:
-        """Begin the present tick, unless a recorder is too far behind."""
+        """Start the present tick, unless a recorder is too far behind."""
         self._held = self._recorder_link.is_behind(self._tick) and not self._realtime
         self._since = time.monotonic()
         if not self._held:
             self._publish()
 
-    def _go_on_if_held(self) -> None:
+    def _continue_if_held(self) -> None:
         if self._held:
             self._next()
 
     def _publish(self) -> None:
-        """Publish what is sensed at the present tick, and what time it is."""
+        """Publish all sensors of the present tick, and the clock."""
         self._beat = None
         self._commands.clear()
         self._transitions.clear()
@@ -238,20 +238,20 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             self._diagnose()
 
     def _step_if_complete(self) -> None:
-        """Step once the beat and the commands of everybody present are in."""
+        """Step if the beat and the commands of all legs that are not absent have arrived."""
         if self._realtime or self._held or self._beat is None or not self._commands:
             return
-        if all(self._has_answered(leg) or leg in self._absent for leg in self.legs):
+        if all(self._has_responded(leg) or leg in self._absent for leg in self.legs):
             self._step()
 
-    def _has_answered(self, leg: str) -> bool:
-        """Return whether a leg's command is in, and its transition, if it publishes that."""
+    def _has_responded(self, leg: str) -> bool:
+        """Return whether a leg's command has arrived, and its transition if it publishes one."""
         return leg in self._commands and (
             leg in self._transitions or leg not in self._with_transitions
         )
 
     def _step(self) -> None:
-        """Advance the world by the present tick, and begin the next one."""
+        """Advance the world by the present tick, and start the next one."""
         assert self._beat is not None
         commands = [self._commands.get(leg) for leg in self.legs]
         transitions = [self._transitions.get(leg) for leg in self.legs]
@@ -260,7 +260,7 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             for observer in self.observers:
                 observer.tick(self._beat, senses, commands, body, transitions)
         except BagError as error:
-            self._end_for(error)
+            self._end_with(error)
             return
         self.world.step(self._beat, commands)
         self._tick += 1
@@ -273,17 +273,17 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
     # -- waiting -----------------------------------------------------------------------------
 
     def _missing(self) -> list[str]:
-        """Return who is not yet on the graph, both ways."""
+        """Return the nodes that are not connected yet, in both directions."""
         missing = []
         if not self._beat_subscription.handle.get_publisher_count():
             missing.append("cpg_node")
         for leg, joints, contact in zip(self.legs, self._joints, self._contacts, strict=True):
-            hears = joints.get_subscription_count() and contact.get_subscription_count()
-            if not (hears and self._command_subscriptions[leg].handle.get_publisher_count()):
+            subscribed = joints.get_subscription_count() and contact.get_subscription_count()
+            if not (subscribed and self._command_subscriptions[leg].handle.get_publisher_count()):
                 missing.append(leg)
         return missing
 
-    def _start_if_all_there(self) -> None:
+    def _start_if_connected(self) -> None:
         if self.done:
             return
         missing = self._missing()
@@ -291,15 +291,15 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             if time.monotonic() - self._since > self._patience:
                 self._throttle.remind("start", f"waiting for {', '.join(missing)}")
             return
-        late = self._waiting.is_over()
+        late = self._metadata_timeout.is_over()
         if self._recorder_link.is_missing(late):
             self._throttle.remind("recorder", "waiting for the recorder")
             return
         try:
-            if self._bag is not None and not self._bag.begin(late):
+            if self._bag is not None and not self._bag.start(late):
                 return
         except BagError as error:
-            self._end_for(error)
+            self._end_with(error)
             return
         self._with_transitions = {
             leg
@@ -307,29 +307,29 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             if subscription.handle.get_publisher_count()
         }
         self._started = True
-        self._log_beginning()
+        self._log_start()
         self._next()
 
-    def _end_for(self, error: BagError) -> None:
-        """End the run; the error is raised when the node finishes: here it would look a crash."""
+    def _end_with(self, error: BagError) -> None:
+        """End the run; ``finish`` raises the error, because in a callback it would be a crash."""
         self._failed, self.done, self._started = error, True, False
 
-    def _watch(self) -> None:
-        """In lockstep: begin when all are there; declare absent who is late."""
+    def _on_watch(self) -> None:
+        """In lockstep: start when all nodes are connected; declare late legs absent."""
         self._throttle.flush()
         if not self._started:
-            self._start_if_all_there()
+            self._start_if_connected()
             return
-        if self._held and not self._recorder_link.is_there():
-            self._recorder_link.tick = None  # it has ended: nothing to wait for
+        if self._held and not self._recorder_link.is_present():
+            self._recorder_link.tick = None  # the recorder has ended: do not wait for it
             self._next()
             return
         if time.monotonic() - self._since < self._patience:
             return
         if self._held:
             self.get_logger().warning(
-                f"the recorder heard nothing after tick {self._recorder_link.tick}: not waited "
-                "for any more"
+                f"the recorder received nothing after tick {self._recorder_link.tick}: the world "
+                "no longer waits for it"
             )
             self._recorder_link.tick = None
             self._next()
@@ -337,27 +337,27 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             self._remind_of_beat()
             self._diagnose()
         elif not self._commands:
-            self._throttle.remind("legs", f"no leg answers at tick {self._tick}: standing still")
+            self._throttle.remind("legs", f"no leg responds at tick {self._tick}: standing still")
             self._diagnose()
         else:
             for leg in self.legs:
-                if leg in self._commands and not self._has_answered(leg):
-                    self._with_transitions.discard(leg)  # it answers, without one
+                if leg in self._commands and not self._has_responded(leg):
+                    self._with_transitions.discard(leg)  # it publishes commands only
                 elif leg not in self._commands and leg not in self._absent:
                     self._absent.add(leg)
                     self._throttle.log(
                         leg,
-                        f"{leg} did not answer within {self._patience} s at tick {self._tick}: "
+                        f"{leg} did not respond within {self._patience} s at tick {self._tick}: "
                         "absent, its joints are held still",
                     )
             self._diagnose()
             self._step_if_complete()
 
-    def _every_tick(self) -> None:
-        """In real time: step with whatever is there."""
+    def _on_realtime_tick(self) -> None:
+        """In real time: step with the commands that have arrived."""
         self._throttle.flush()
         if not self._started:
-            self._start_if_all_there()
+            self._start_if_connected()
         elif self._beat is None:
             self._remind_of_beat()
         else:
@@ -370,32 +370,32 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
 
     # -- reports -----------------------------------------------------------------------------
 
-    def _log_beginning(self) -> None:
+    def _log_start(self) -> None:
         cycles = (
             "until stopped" if self._last == math.inf else f"{self._last // self._ticks} cycles"
         )
         mode = "realtime" if self._realtime else "lockstep"
-        self.get_logger().info(f"{self._kind} begins: {', '.join(self.legs)}; {mode}, {cycles}")
+        self.get_logger().info(f"{self._kind} starts: {', '.join(self.legs)}; {mode}, {cycles}")
 
     def _log_end(self) -> None:
         cycles, falls = self._tick // self._ticks, self.world.body().falls
         self.get_logger().info(f"{self._kind} ended after {cycles} cycles, {falls} falls")
 
     def _diagnose(self) -> None:
-        """Publish who is absent and what was refused."""
-        stuck, away = None, set(self._absent)
+        """Publish the absent legs and the number of refused messages."""
+        stalled, absent = None, set(self._absent)
         if self._started and time.monotonic() - self._since >= self._patience:
-            stuck = "no phase" if self._beat is None else "standing still"
+            stalled = "no phase" if self._beat is None else "standing still"
             if self._beat is not None:
-                away |= {leg for leg in self.legs if leg not in self._commands}
+                absent |= {leg for leg in self.legs if leg not in self._commands}
         falls = self.world.body().falls
-        self._diagnostics.publish(self._tick, falls, self.refused, away, stuck)
+        self._diagnostics.publish(self._tick, falls, self.refused, absent, stalled)
 
     def finish(self, spin: Callable[[], None]) -> None:
-        """Stop stepping and end the record.
+        """Stop stepping, and write the last lines of the record and the bag.
 
         Raises:
-            BagError: the bag could not be written to its end.
+            BagError: the bag could not be written completely.
         """
         self.done, self._started = True, False
         if self._tick:
@@ -407,7 +407,7 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             self._bag.finish()
 
     def destroy_node(self) -> None:
-        """Destroy the node and let go of the world; a bag that was not finished ends here."""
+        """Destroy the node and close the world; a bag without ``finish`` is abandoned."""
         if self._bag is not None:
             self._bag.close()
         self.world.close()
@@ -415,7 +415,7 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the node until its cycles are done or a signal comes."""
+    """Run the node until its cycles are done or a signal arrives."""
     sys.exit(node_main(SimNode, args))
 
 

@@ -1,4 +1,4 @@
-"""What records a run from within the world's node, and what makes it wait for who records it."""
+"""Records a run from within the sim_node, and synchronises the world with a recorder node."""
 
 from __future__ import annotations
 
@@ -15,33 +15,37 @@ from ember_ros.bag.writer_process import WriterProcess
 from ember_ros.errors import SignalError
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 
-AHEAD = 24  # ticks ahead of a recorder: Fast DDS holds 512 messages between two processes
+AHEAD = 24  # maximum ticks ahead of a recorder: Fast DDS queues 512 messages between two processes
 
 
 class BagObserver:
-    """Records the run into a bag, as an observer; what determined it is asked of the nodes."""
+    """An observer that records the run into a bag; it requests the metadata from the nodes."""
 
     def __init__(self, node: Node, world: str, options: BagOptions) -> None:
-        """Make the bag.
+        """Create the bag.
 
         Args:
-            node: the world's.
-            world: its name.
+            node: the sim_node.
+            world: name of the world.
             options: of the bag.
 
         Raises:
-            BagError: the bag cannot be made.
+            BagError: the bag cannot be created.
         """
         self._node, self._world = node, world
         self._writer = WriterProcess(options)
         self._inquiry = MetadataClient(node, node.get_namespace())
-        self._recording: RunWriter | None = None
+        self._run_writer: RunWriter | None = None
 
-    def begin(self, late: bool) -> bool:
-        """Ask what determines the run; begin to record, and return True, when all have answered.
+    def start(self, late: bool) -> bool:
+        """Request the run's metadata from the nodes; start to record once all have responded.
 
         Args:
-            late: whether to go on without those who have not: they are not nodes of ours.
+            late: whether to start without the nodes that have not responded, because they are not
+                nodes of this package.
+
+        Returns:
+            True once the recording has started.
 
         Raises:
             BagError: the bag cannot be written.
@@ -52,7 +56,7 @@ class BagObserver:
         for why in wrong:
             self._node.get_logger().warning(f"the bag cannot be replayed: {why}")
         namespace = self._node.get_namespace()
-        self._recording = RunWriter(self._writer, run_metadata, table, namespace=namespace)
+        self._run_writer = RunWriter(self._writer, run_metadata, table, namespace=namespace)
         return True
 
     def tick(
@@ -68,43 +72,43 @@ class BagObserver:
         Raises:
             BagError: the bag cannot be written.
         """
-        assert self._recording is not None
-        self._recording.tick(beat, senses, commands, body, transitions)
+        assert self._run_writer is not None
+        self._run_writer.tick(beat, senses, commands, body, transitions)
 
     def finish(self) -> None:
-        """End the bag well.
+        """Write the end of the bag and close it.
 
         Raises:
-            BagError: it cannot be written to its end.
+            BagError: it cannot be written completely.
         """
-        if self._recording is not None:
-            self._recording.finish()
+        if self._run_writer is not None:
+            self._run_writer.finish()
         self._writer.close()
 
     def close(self) -> None:
-        """Let go of the bag; one that was not finished ends here."""
+        """Abandon the bag if it was not finished; do nothing otherwise."""
         self._writer.abandon()
 
 
 class RecorderLink:
-    """How far a recorder node is that listens to this robot; the world is never far ahead of it."""
+    """Flow control: receives the progress of a recorder node, so that the world can wait for it."""
 
-    def __init__(self, node: Node, wanted: bool, refuse: Callable[[Exception], None]) -> None:
-        """Listen to a recorder.
+    def __init__(self, node: Node, required: bool, refuse: Callable[[Exception], None]) -> None:
+        """Subscribe to the recorder's progress.
 
         Args:
-            node: the world's.
-            wanted: whether not to begin without one.
-            refuse: is given what is wrong with a message.
+            node: the sim_node.
+            required: whether the run must not start without a recorder.
+            refuse: is called with the error of a malformed message.
         """
-        self._node, self._wanted, self._refuse = node, wanted, refuse
+        self._node, self._required, self._refuse = node, required, refuse
         self.tick: int | None = None
-        """The last tick that it heard; None where nobody is waited for."""
+        """The last tick that the recorder received; None if the world waits for no recorder."""
         self.on_progress: Callable[[], None] = lambda: None
-        """Called when it is further."""
-        topics.RECORDED.subscribe(node, self._on_tick)
+        """Called when the recorder has received another tick."""
+        topics.RECORDED.subscribe(node, self._on_recorder_tick)
 
-    def _on_tick(self, data: bytes) -> None:
+    def _on_recorder_tick(self, data: bytes) -> None:
         try:
             self.tick = cdr.read_int(data, topics.RECORDED.name, -1)
         except SignalError as why:
@@ -113,35 +117,35 @@ class RecorderLink:
         self.on_progress()
 
     def is_missing(self, late: bool) -> bool:
-        """Return whether the run is to wait for a recorder's first word.
+        """Return whether the run has to wait for the first message of a recorder.
 
         Args:
-            late: whether one that is there had its time.
+            late: whether a recorder on the graph has had enough time to publish.
         """
         if self.tick is not None:
             return False
-        return self._wanted or (self.is_there() and not late)
+        return self._required or (self.is_present() and not late)
 
-    def is_there(self) -> bool:
-        """Return whether there is a recorder on the graph."""
+    def is_present(self) -> bool:
+        """Return whether a recorder is on the graph."""
         return bool(self._node.count_publishers(topics.RECORDED.name))
 
     def is_behind(self, tick: int) -> bool:
-        """Return whether a tick is further ahead than what lies between two processes can hold."""
+        """Return whether a tick is so far ahead of the recorder that a queue may overflow."""
         return self.tick is not None and tick - self.tick > AHEAD
 
 
-class Waiting:
-    """How long all that records has been waited for, once everybody else is there."""
+class Timeout:
+    """A wall-clock timeout that starts with the first call of ``is_over``."""
 
-    def __init__(self, patience_s: float) -> None:
-        """Wait for so long."""
-        self._patience = patience_s
-        self._since: float | None = None
+    def __init__(self, timeout_s: float) -> None:
+        """Set the length of the timeout, s."""
+        self._timeout_s = timeout_s
+        self._start: float | None = None
 
     def is_over(self) -> bool:
-        """Return whether it has been long enough; the time counts from the first call."""
+        """Return whether the timeout has passed since the first call."""
         now = time.monotonic()
-        if self._since is None:
-            self._since = now
-        return now - self._since >= self._patience
+        if self._start is None:
+            self._start = now
+        return now - self._start >= self._timeout_s

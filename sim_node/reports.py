@@ -1,4 +1,4 @@
-"""What the world's node publishes and logs about the run, beside what the legs need."""
+"""Reports of the sim_node for people and tools: odometry, falls, diagnostics and late legs."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from ember_ros.throttle import LOG_WINDOW_S
 
 
 class BodyPublisher:
-    """Publishes where the body is, and falls when there are more."""
+    """Publishes the body's pose at every tick, and the number of falls when it changes."""
 
     def __init__(self, node: Node, tick_ns: int, ticks: int) -> None:
-        """Make the publishers of a node.
+        """Create the publishers.
 
         Args:
-            node: the world's.
+            node: the sim_node.
             tick_ns: length of a tick, ns.
-            ticks: of a cycle, for the log.
+            ticks: ticks per cycle, for the log.
         """
         self._node, self._tick_ns, self._ticks = node, tick_ns, ticks
         self._falls_publisher = topics.FALLS.publish(node)
@@ -31,7 +31,7 @@ class BodyPublisher:
         self._falls = -1
 
     def publish(self, tick: int, body: BodyState) -> None:
-        """Publish the body at the start of a tick."""
+        """Publish the pose at the start of a tick; log a new fall."""
         if body.falls != self._falls:
             if body.falls > max(self._falls, 0):
                 self._node.get_logger().warning(
@@ -43,32 +43,39 @@ class BodyPublisher:
 
 
 class Diagnostics:
-    """Publishes who is absent, and what was refused."""
+    """Publishes the absent legs and the number of refused messages."""
 
     def __init__(self, node: Node, legs: Sequence[str], tick_ns: int, ticks: int) -> None:
-        """Make the publisher of a node."""
+        """Create the publisher.
+
+        Args:
+            node: the sim_node.
+            legs: names of the legs.
+            tick_ns: length of a tick, ns.
+            ticks: ticks per cycle.
+        """
         self._legs, self._tick_ns, self._ticks = legs, tick_ns, ticks
         self._publisher = topics.DIAGNOSTICS.publish(node)
 
     def publish(
-        self, tick: int, falls: int, refused: int, away: Collection[str], stuck: str | None
+        self, tick: int, falls: int, refused: int, absent: Collection[str], stalled: str | None
     ) -> None:
         """Publish the state of the robot.
 
         Args:
             tick: the present one.
-            falls: so far.
-            refused: messages that were not used.
-            away: legs that do not answer.
-            stuck: why the world stands still; None where it goes on.
+            falls: number of falls so far.
+            refused: number of messages that were not used.
+            absent: legs that do not respond.
+            stalled: why the world stands still; None if it does not.
         """
         message = DiagnosticArray()
         cdr.set_stamp(message.header.stamp, tick * self._tick_ns)
         message.status = [
             DiagnosticStatus(
                 name="sim_node",
-                level=DiagnosticStatus.WARN if away or stuck else DiagnosticStatus.OK,
-                message=stuck or "walking",
+                level=DiagnosticStatus.WARN if absent or stalled else DiagnosticStatus.OK,
+                message=stalled or "walking",
                 values=[
                     KeyValue(key="cycle", value=str(tick // self._ticks)),
                     KeyValue(key="falls", value=str(falls)),
@@ -80,39 +87,40 @@ class Diagnostics:
             message.status.append(
                 DiagnosticStatus(
                     name=leg,
-                    level=DiagnosticStatus.ERROR if leg in away else DiagnosticStatus.OK,
-                    message="absent" if leg in away else "present",
+                    level=DiagnosticStatus.ERROR if leg in absent else DiagnosticStatus.OK,
+                    message="absent" if leg in absent else "present",
                 )
             )
         self._publisher.publish(message)
 
 
 class Lateness:
-    """In real time: logs now and then how often legs were late, and once that none is any more.
+    """Logs late legs in real time: a count per window, and once that no leg is late any more.
 
-    A leg that misses every other tick comes and goes a thousand times a minute.
+    A line for each change would be too many: a leg that misses every other tick changes its state a
+    thousand times per minute.
     """
 
     def __init__(self, node: Node) -> None:
-        """Begin with nobody late."""
+        """Start without late legs."""
         self._node = node
-        self._late: Counter[str] = Counter()  # ticks without a leg since the last line
-        self._since = time.monotonic()
+        self._late: Counter[str] = Counter()  # missed ticks of each leg since the last line
+        self._window_start = time.monotonic()
         self._was_late = False
 
     def count(self, late: Collection[str]) -> None:
-        """Count the legs that were late for a tick, and log if it is time."""
+        """Count the legs that were late for a tick; log the counts at the end of a window."""
         self._late.update(late)
         now = time.monotonic()
-        if now - self._since < LOG_WINDOW_S or not (self._late or self._was_late):
+        if now - self._window_start < LOG_WINDOW_S or not (self._late or self._was_late):
             return
         if self._late:
             legs = ", ".join(f"{leg} {ticks}" for leg, ticks in sorted(self._late.items()))
             self._node.get_logger().warning(
-                f"ticks held still for want of a command in time: {legs}"
+                f"ticks held still because the command was late: {legs}"
             )
         else:
-            self._node.get_logger().info("all legs are in time again")
+            self._node.get_logger().info("all legs are on time again")
         self._was_late = bool(self._late)
         self._late.clear()
-        self._since = now
+        self._window_start = now

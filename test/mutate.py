@@ -91,7 +91,7 @@ def make_corpus(folder: Path) -> None:
     (folder / "params.yaml").write_text(dump_params(PARAMS))
     loop.close()
     journal = Journal(folder / "table.npz")
-    journal.begin(1)
+    journal.start(1)
     for n in range(9):
         journal.add(UpdateBatch(0, "run", n, "0" * 64, ()))
     journal.close()

@@ -688,10 +688,10 @@ def test_in_real_time_lateness_is_counted_and_told_now_and_then(
     robot = Robot(ros, config, sim_node={"mode": "realtime", "cycles": 1000})
     robot.walk_to(5)
     robot.kill("leg_front_right")
-    ros.spin_until(lambda: len(told("command in time: ")) > 1, "who is late is told")
+    ros.spin_until(lambda: len(told("command was late: ")) > 1, "who is late is told")
     robot.start("leg_front_right")
-    ros.spin_until(lambda: told("all legs are in time again"), "that nobody is late any more")
-    counts = [re.search(r"front_right (\d+)", line) for line in told("command in time: ")]
+    ros.spin_until(lambda: told("all legs are on time again"), "that nobody is late any more")
+    counts = [re.search(r"front_right (\d+)", line) for line in told("command was late: ")]
     assert any(count and int(count[1]) > 1 for count in counts)
     assert not told("is back")
 
@@ -704,8 +704,8 @@ def test_a_walk_says_that_it_begins_and_what_came_of_it(
         spun(graph)
         falls = graph.sim.world.body().falls
     lines = capfd.readouterr().err.splitlines()
-    (began,) = (line for line in lines if "walker begins" in line)
-    assert began.endswith(f"walker begins: {', '.join(LEGS)}; lockstep, 8 cycles")
+    (began,) = (line for line in lines if "walker starts" in line)
+    assert began.endswith(f"walker starts: {', '.join(LEGS)}; lockstep, 8 cycles")
     (ended,) = (line for line in lines if "walker ended" in line)
     assert ended.endswith(f"walker ended after 8 cycles, {falls} falls")
 

@@ -595,7 +595,7 @@ def test_a_leg_without_a_table_says_whom_it_waits_for(
 
     leg = make(ros, LegNode, "/robot")
     ros.spin_until(
-        lambda: says("waiting for the table_node: nobody serves /robot/table/push"), "it says so"
+        lambda: says("waiting for the table_node: no node serves /robot/table/push"), "it says so"
     )
     ros.remove(leg)
     make(ros, TableNode)
@@ -603,7 +603,7 @@ def test_a_leg_without_a_table_says_whom_it_waits_for(
     make(ros, LegNode)
     for _ in range(40):
         ros.spin_once()
-    assert not says("waiting for the table_node: nobody serves /table/push")
+    assert not says("waiting for the table_node: no node serves /table/push")
 
 
 def test_a_publisher_that_cannot_be_heard_is_named_with_what_would_be_right(
@@ -738,7 +738,7 @@ def test_a_push_is_merged_once_however_often_it_comes(ros: Ros) -> None:
     for n in range(3):
         result = ros.call(push, calls.write_push(GOOD)).result
         assert result.successful
-        assert bool(result.reason) == bool(n)  # "taken before"
+        assert bool(result.reason) == bool(n)  # "received before"
     assert node.shared.table.visits.sum() == 0
     changes = calls.read_changes(ros.call(pull, calls.write_pull(version, 4)))
     assert (changes.version, len(changes.cells)) == (version, 0)
@@ -897,7 +897,7 @@ def test_what_was_acknowledged_outlives_the_node(ros: Ros, tmp_path: Path) -> No
                 ros.remove(node)
                 node = make(ros, TableNode, **options)
                 assert ros.call(push, calls.write_push(each)).result.successful
-                assert "taken before" in ros.call(push, calls.write_push(each)).result.reason
+                assert "received before" in ros.call(push, calls.write_push(each)).result.reason
         ros.call(pull, calls.write_pull(None, 2))
         tables.add(node.shared.table.sha256())
         node.finish(lambda: None)

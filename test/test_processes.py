@@ -289,7 +289,7 @@ def test_legs_go_on_while_the_table_is_gone_and_come_back_to_it(
     fleet.until_it_walks_on()
     fleet.start("table_node")
     fleet.until(
-        lambda: "taken up where it was cut off" in fleet.log("table_node").read_text(),
+        lambda: "recovered after a crash" in fleet.log("table_node").read_text(),
         "the table takes up its journal",
     )
     ros_of_module.node.destroy_client(pull)
@@ -310,7 +310,7 @@ def test_a_sim_that_is_killed_and_started_again_begins_time_anew(fleet: Fleet) -
     fleet.kill("sim_node")
     fleet.start("sim_node")
     fleet.until(
-        lambda: all("time began anew" in fleet.log(f"leg_{leg}").read_text() for leg in LEGS),
+        lambda: all("time restarted" in fleet.log(f"leg_{leg}").read_text() for leg in LEGS),
         "every leg notices",
     )
     heard = len(fleet.clock)

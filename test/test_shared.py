@@ -408,7 +408,7 @@ def test_a_preview_merges_nothing(
 def journal(tmp_path: Path) -> Iterator[Journal]:
     """Return a journal that was begun, and close it."""
     journal = Journal(tmp_path / "table.npz")
-    journal.begin(7)
+    journal.start(7)
     yield journal
     journal.close()
 
@@ -421,7 +421,7 @@ def test_a_journal_keeps_every_bit(
     """A push read from a journal is the push that was written, its floats to the last bit."""
     written = push(2, 5, *updates, run='a run, "quoted"')
     journal = Journal(tmp_path_factory.mktemp("journal") / "table.npz")
-    journal.begin(1)
+    journal.start(1)
     journal.add(written)
     journal.close()
     (read,) = journal.read(1)
@@ -447,7 +447,7 @@ def test_a_journal_belongs_to_its_snapshot(journal: Journal) -> None:
     """A journal of another generation is in the snapshot already; a missing one is empty."""
     journal.add(push(0, 0, (0, 1, 1.0)))
     assert journal.read(6) == journal.read(8) == []
-    journal.begin(8)
+    journal.start(8)
     assert journal.pushes == 0
     assert journal.read(7) == journal.read(8) == []
     journal.add(push(0, 1, (4, 1, 1.0)))

@@ -450,7 +450,7 @@ WRONG: dict[str, tuple[Callable[[Content], Content], str]] = {
     "values text": (lambda c: c._replace(values=c.values.astype(str)), "<U"),
     "visits floats": (lambda c: c._replace(visits=c.visits * 1.0), "float64 and float64"),
     "visits unsigned": (lambda c: c._replace(visits=c.visits.astype(np.uint64)), "uint64"),
-    "visits negative": (lambda c: c._replace(visits=c.visits - 1), "visits under 0"),
+    "visits negative": (lambda c: c._replace(visits=c.visits - 1), "negative visits"),
     "a NaN": (lambda c: c._replace(values=np.where(c.visits, c.values, np.nan)), "not finite"),
     "an infinity": (lambda c: c._replace(values=c.values / c.visits.min()), "not finite"),
     "a last bit": (lambda c: c._replace(values=np.nextafter(c.values, 9.0)), "damaged"),
@@ -577,10 +577,10 @@ LIES: dict[str, tuple[Callable[[Path], object], str]] = {
     "packed by bzip2": (lambda f: packed(f, "values", bytes(HUGE), zipfile.ZIP_BZIP2), "deflate"),
     "packed by lzma": (lambda f: packed(f, "values", bytes(HUGE), zipfile.ZIP_LZMA), "deflate"),
     "a shape beyond all memory": (
-        lambda f: packed(f, "values", npy("'<f8'", f"({10**15}, 9)")), "not what its header says"
+        lambda f: packed(f, "values", npy("'<f8'", f"({10**15}, 9)")), "but its header states"
     ),
     "an item beyond all memory": (
-        lambda f: packed(f, "about", npy("'<U99999999'", "()")), "not what its header says"
+        lambda f: packed(f, "about", npy("'<U99999999'", "()")), "but its header states"
     ),
     "digits": (lambda f: packed(f, "values", npy("'<f8'", f"({'9' * 9000},)")), "not a whole"),
     "Python": (lambda f: packed(f, "values", npy("'<f8'", "(" * 9000)), "no plain array"),

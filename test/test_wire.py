@@ -544,7 +544,7 @@ def test_a_push_with_a_field_missing_twice_or_of_another_type_is_refused(name: s
         calls.read_push(request)
     request = calls.write_push(GOOD)
     request.parameters.append(Parameter(name=name, value=of(request, name)))
-    with pytest.raises(UpdateError, match=f"^push: field '{name}' is unknown or twice"):
+    with pytest.raises(UpdateError, match=f"^push: field '{name}' is unknown or repeated"):
         calls.read_push(request)
     for kind in range(12):
         request = calls.write_push(GOOD)
