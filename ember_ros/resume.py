@@ -1,4 +1,4 @@
-"""What a run that starts from a table goes on from, and what is other now than it was then."""
+"""Where a run that starts from a table continues, and which parameters differ from the table's."""
 
 from __future__ import annotations
 
@@ -14,34 +14,36 @@ from leg_node.table_file import describe_differences, load_about, load_table, pa
 
 
 def resume_point(run: Path, world: str) -> tuple[int, Params]:
-    """Return how many cycles a run had come to, and its parameters.
+    """Return the number of cycles that a run has done, and its parameters.
 
     Args:
         run: its folder.
-        world: in which it is to go on.
+        world: the world in which it continues.
 
     Raises:
-        ParameterError: it was in another world, or does not say how far it came.
+        ParameterError: the run was in another world, or its number of cycles is unknown.
         TableError: its table cannot be read.
     """
     about = load_about(run / TABLE)
     try:
-        told = json.loads((run / SUMMARY).read_text(encoding="utf-8"))
-        where, cycle = told["world"], told["start_cycle"] + told["cycles"]
+        summary = json.loads((run / SUMMARY).read_text(encoding="utf-8"))
+        own_world, cycle = summary["world"], summary["start_cycle"] + summary["cycles"]
     except (OSError, ValueError, KeyError, TypeError):  # killed, or of an older version
-        where, cycle = world, about.get("cycle")
-    if where != world:
-        raise ParameterError(f"{run} is a run of the {where}; --table {run / TABLE} starts from it")
+        own_world, cycle = world, about.get("cycle")
+    if own_world != world:
+        raise ParameterError(
+            f"{run} is a run of the {own_world}; --table {run / TABLE} starts from its table"
+        )
     if not isinstance(cycle, int) or isinstance(cycle, bool):
         raise ParameterError(
-            f"{run} does not say how many cycles it came to; --table {run / TABLE} starts from its "
-            "table at cycle 0"
+            f"{run} does not say how many cycles it has done; --table {run / TABLE} starts from "
+            "its table at cycle 0"
         )
     return cycle, params_of(run / TABLE, about)
 
 
 def start_messages(config: RunConfig) -> list[str]:
-    """Return what is to be said before a run that starts from a table.
+    """Return the lines to print before a run that starts from a table.
 
     Raises:
         TableError: the table cannot be used.
@@ -50,17 +52,17 @@ def start_messages(config: RunConfig) -> list[str]:
         return []
     lines = []
     _, about = load_table(config.table, config.params)
-    other = describe_differences(config.table, about, config.params)
-    if other is not None:
-        lines.append(other)
+    differences = describe_differences(config.table, about, config.params)
+    if differences is not None:
+        lines.append(differences)
     numbers = config.params.walk if config.stage == "walk" else config.params.train
     epsilon = epsilon_at(numbers, config.start_cycle)
     share = f"{100 * epsilon:.3g} %"
     if config.start_cycle:
-        lines.append(f"going on from cycle {config.start_cycle}, exploring {share} at first")
+        lines.append(f"continuing from cycle {config.start_cycle}, exploring {share} at first")
     elif config.policy == "learned" and epsilon > numbers.epsilon_end:
         lines.append(
             f"starting from {config.table} at cycle 0: {share} of the actions are random at "
-            "first, which may undo what it knows; --resume RUN goes on where a run was"
+            "first, which may undo what was learnt; --resume RUN continues a run"
         )
     return lines

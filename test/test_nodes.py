@@ -684,7 +684,7 @@ FIELDS = ("leg", "run", "epoch", "cells_sha256", "tick", "cell", "target")
 MALFORMED = [
     *[(push_with(name), f"{name} missing") for name in FIELDS],
     (push_and("more"), "'more' is unknown"),
-    (push_and("leg"), "'leg' is .*twice"),
+    (push_and("leg"), "'leg' is .*repeated"),
     (push_with("leg", type=ParameterType.PARAMETER_DOUBLE), "leg has parameter type 3"),
     (push_with("target", type=ParameterType.PARAMETER_NOT_SET), "target has parameter type 0"),
     (push_with("tick", integer_array_value=array("q", [160])), "tick, cell and target have"),

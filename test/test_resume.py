@@ -110,7 +110,7 @@ def test_what_is_other_now_is_named(tmp_path: Path) -> None:
     told = start_messages(RunConfig("trainer", 1, params=replace(EAGER, many), table=file))
     assert told[0].endswith("; and 2 more")
     (only,) = start_messages(RunConfig("trainer", 1, params=EAGER, table=file, start_cycle=10))
-    assert only == "going on from cycle 10, exploring 50 % at first"
+    assert only == "continuing from cycle 10, exploring 50 % at first"
 
 
 @pytest.mark.parametrize("seed", [-1, MAX_INTEGER + 1])

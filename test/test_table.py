@@ -599,8 +599,8 @@ LIES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "a long file": (lambda f: f.write_bytes(f.read_bytes() + bytes(HUGE)), "bytes; up to"),
     "a long file of nothing": (lambda f: os.truncate(f, 1 << 40), "bytes; up to"),
-    "a pipe": (lambda f: instead(f, os.mkfifo), "no regular file"),
-    "a device": (lambda f: instead(f, lambda f: f.symlink_to("/dev/zero")), "no regular file"),
+    "a pipe": (lambda f: instead(f, os.mkfifo), "not a regular file"),
+    "a device": (lambda f: instead(f, lambda f: f.symlink_to("/dev/zero")), "not a regular file"),
     "a link to itself": (lambda f: instead(f, lambda f: f.symlink_to(f)), "not a whole"),
 }  # fmt: skip
 

@@ -19,7 +19,7 @@ from ember_ros.experiments.study import Size, Study, belongs
 from ember_ros.experiments.words import Found
 from ember_ros.params_file import load_params
 from ember_ros.spinning import stop_signals
-from ember_ros.terminal import command_line, console, doing, grid, progress
+from ember_ros.terminal import command_line, console, grid, progress, stages
 
 
 @click.command("experiment")
@@ -192,7 +192,7 @@ def bench_command(
     from ember_ros import bench
 
     params = load_params(*params_files, settings=settings)
-    with doing("measuring") as say:
+    with stages("measuring") as say:
         found = bench.bench(params, say=say, **sizes)
     made = bench.write(found, out, command_line())
     console.print(grid(bench.lines(found)))
