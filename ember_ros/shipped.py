@@ -1,6 +1,6 @@
-"""A trained table and a recorded walk that come with the package, found by name. Pure.
+"""Finds the trained table and the recorded walk that come with the package, by name. Pure.
 
-They lie in ``bags/`` of the repository; an installation ships that folder as ``ember_ros/data``.
+They are in ``bags/`` of the repository; an installation has that folder as ``ember_ros/data``.
 """
 
 from __future__ import annotations
@@ -9,22 +9,23 @@ from pathlib import Path
 
 _SHIPPED = Path(__file__).parent / "data"
 DATA = _SHIPPED if _SHIPPED.is_dir() else Path(__file__).parents[1] / "bags"
-"""The folder of both: of an installation, or of a checkout or an editable install."""
+"""The folder of both, in an installation or in a checkout."""
 TABLE, BAG = "trained", "walk"
-"""Their names; README.md beside them says which commands make them."""
+"""Their names; the README.md in that folder lists the commands that make them."""
 
 
 def shipped_table(file: Path) -> Path:
-    """Return the table of that name that comes with the package, or the path as it is.
+    """Return the path of the table that comes with the package if ``file`` is its name.
 
-    A file of that name comes first, as with parameter files.
+    An existing file of that name wins, as with parameter files. Any other path is returned as it
+    is.
     """
     return DATA / f"{TABLE}.npz" if str(file) == TABLE and not file.is_file() else file
 
 
 def shipped_bag(path: Path) -> Path:
-    """Return the bag of that name that comes with the package, or the path as it is.
+    """Return the path of the bag that comes with the package if ``path`` is its name.
 
-    Whatever there is of that name comes first, a folder as well: it may be a bag that was cut off.
+    An existing file or folder of that name wins. Any other path is returned as it is.
     """
     return DATA / BAG if str(path) == BAG and not path.exists() else path

@@ -1,10 +1,9 @@
-"""What every world promises, as checks that hold one of your own to it. Pure.
-
+"""Checks that a world of your own keeps the contract of all worlds. Pure.
     from sim_node.contract import check_world
     check_world(lambda: MyWorld(Params(), seed=0))
 
-Each check builds worlds with the function it is given, drives them with random commands and raises
-an ``AssertionError`` that says what was found and what would be right.
+Each check creates worlds with a function, drives them with random commands and raises an
+``AssertionError`` that states what is wrong and what would be right.
 """
 
 from __future__ import annotations
@@ -22,45 +21,45 @@ from ember_ros.worlds import World
 Make = Callable[[], World]
 Step = tuple[tuple[LegSense, ...], BodyState]
 TICKS = 200
-"""For which a world is driven by each check: some six cycles."""
+"""Ticks for which each check drives a world: about six cycles."""
 KINDS = (int, *[float] * 8, *[bool] * 3)
-"""Of a sense's values."""
+"""Types of the fields of a ``LegSense``."""
 
 
 def check_world(make: Make, params: Params | None = None) -> None:
-    """Hold a world to all that others count on.
+    """Run all checks on a world.
 
     Args:
-        make: builds the world, at tick 0, always alike.
-        params: that it was built with; the defaults for None.
+        make: creates the world at tick 0, the same at each call.
+        params: the parameters of the world; the defaults for None.
 
     Raises:
-        AssertionError: the world breaks a promise.
+        AssertionError: the world breaks the contract.
     """
     own = params or Params()
     for check in (
-        check_beginning, check_observing, check_ticks, check_values, check_reset, check_repeats,
-        check_silence, check_closing,
+        check_start, check_observe, check_ticks, check_values, check_reset, check_repeats,
+        check_no_command, check_close,
     ):  # fmt: skip
         check(make, own)
 
 
-def drive(world: World, params: Params, ticks: int, seed: int = 1, begin: int = 0) -> list[Step]:
-    """Drive a world with random commands, one in twenty missing; return what it showed.
+def drive(world: World, params: Params, ticks: int, seed: int = 1, start: int = 0) -> list[Step]:
+    """Drive a world with random commands, of which one in twenty is missing.
 
     Args:
-        world: at tick ``begin``.
+        world: at tick ``start``.
         params: of motors and gait.
-        ticks: to drive.
+        ticks: number of ticks to drive.
         seed: of the commands.
-        begin: the present tick.
+        start: the present tick.
 
     Returns:
         Senses and body at each tick, ``ticks + 1`` of them.
     """
     rng, leg, ticks_a_cycle = np.random.default_rng(seed), params.leg, params.gait.ticks
     steps: list[Step] = [(world.observe(), world.body())]
-    for tick in range(begin, begin + ticks):
+    for tick in range(start, start + ticks):
         commands = [
             LegCommand(
                 tick,
@@ -78,117 +77,119 @@ def drive(world: World, params: Params, ticks: int, seed: int = 1, begin: int = 
     return steps
 
 
-def _hold(right: bool, why: str) -> None:
-    if not right:
-        raise AssertionError(why)
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise AssertionError(message)
 
 
-def check_beginning(make: Make, params: Params) -> None:
-    """Hold that a world begins at tick 0, with a sense a leg, put down by nobody, without falls."""
+def check_start(make: Make, params: Params) -> None:
+    """Check that a world starts at tick 0 with one sense per leg and without falls."""
     world = make()
     senses = world.observe()
-    _hold(len(world.legs) > 0, "legs is empty; a name for each leg would be right")
-    _hold(
+    _require(len(world.legs) > 0, "legs is empty; a name for each leg would be right")
+    _require(
         len(senses) == len(world.legs),
-        f"{len(senses)} senses of {len(world.legs)} legs; one a leg would be right",
+        f"{len(senses)} senses of {len(world.legs)} legs; one per leg would be right",
     )
-    _hold({sense.tick for sense in senses} == {0}, "the first senses are not of tick 0")
-    _hold(
+    _require({sense.tick for sense in senses} == {0}, "the first senses are not of tick 0")
+    _require(
         not any(sense.first_tick for sense in senses),
         "first_tick is set at tick 0, before any fall",
     )
-    _hold(world.body().falls == 0, "falls are counted before the first tick")
-    _hold(not world.over, "over is set before the first tick")
+    _require(world.body().falls == 0, "falls are counted before the first tick")
+    _require(not world.over, "over is set before the first tick")
     world.close()
 
 
-def check_observing(make: Make, params: Params) -> None:
-    """Hold that observing changes nothing: called twice it gives the same."""
-    asked, other = make(), make()
+def check_observe(make: Make, params: Params) -> None:
+    """Check that ``observe`` and ``body`` change nothing: a second call returns the same."""
+    observed, other = make(), make()
     for tick in range(TICKS // 4):
-        _hold(asked.observe() == asked.observe(), f"observe() twice at tick {tick} differs")
-        _hold(asked.body() == asked.body(), f"body() twice at tick {tick} differs")
-        for world in (asked, other):
+        _require(
+            observed.observe() == observed.observe(), f"observe() twice at tick {tick} differs"
+        )
+        _require(observed.body() == observed.body(), f"body() twice at tick {tick} differs")
+        for world in (observed, other):
             world.step(Beat(tick, tick / params.gait.ticks), [None] * len(world.legs))
-    _hold(asked.observe() == other.observe(), "a world that is observed twice goes on otherwise")
-    asked.close()
+    _require(observed.observe() == other.observe(), "observing a world changes its later ticks")
+    observed.close()
     other.close()
 
 
 def check_ticks(make: Make, params: Params) -> None:
-    """Hold that ticks count on over falls, and that a fall marks the next senses ``first_tick``."""
+    """Check that ticks continue after a fall, and that the next senses are ``first_tick``."""
     world = make()
     steps = drive(world, params, TICKS)
     for tick, (senses, _) in enumerate(steps):
-        found = sorted({sense.tick for sense in senses})
-        _hold(found == [tick], f"senses of tick {tick} say {found}")
+        stamps = sorted({sense.tick for sense in senses})
+        _require(stamps == [tick], f"senses of tick {tick} have the ticks {stamps}")
     for (_, before), (senses, after) in pairwise(steps):
         tick = senses[0].tick
-        _hold(after.falls >= before.falls, f"falls become fewer at tick {tick}")
+        _require(after.falls >= before.falls, f"the number of falls decreases at tick {tick}")
         marked = {sense.first_tick for sense in senses}
-        _hold(
+        _require(
             marked == {after.falls > before.falls},
             f"tick {tick}: falls went from {before.falls} to {after.falls}, first_tick is "
-            f"{marked}; it is set on all legs after a fall, and on none otherwise",
+            f"{marked}; true for all legs after a fall, and for none otherwise, would be right",
         )
     world.close()
 
 
 def check_values(make: Make, params: Params) -> None:
-    """Hold that senses are plain, finite, in range, of one story, and keep what they said."""
+    """Check that senses have plain types, are finite, in range and consistent, and never change."""
     world = make()
-    kept = drive(world, params, TICKS)
-    before = repr(kept)
-    drive(world, params, 20, begin=TICKS)
-    _hold(repr(kept) == before, "senses change after they were given; tuples would be right")
-    for senses, body in kept:
+    steps = drive(world, params, TICKS)
+    before = repr(steps)
+    drive(world, params, 20, start=TICKS)
+    _require(repr(steps) == before, "senses change after they were returned; tuples would be right")
+    for senses, body in steps:
         for leg, sense in zip(world.legs, senses, strict=True):
             where = f"{leg} at tick {sense.tick}"
             kinds = tuple(type(value) for value in sense)
-            _hold(kinds == KINDS, f"{where}: values of types {kinds}; {KINDS} would be right")
-            _hold(all(map(math.isfinite, sense)), f"{where}: not finite: {sense}")
-            _hold(
+            _require(kinds == KINDS, f"{where}: values of types {kinds}; {KINDS} would be right")
+            _require(all(map(math.isfinite, sense)), f"{where}: not finite: {sense}")
+            _require(
                 0.0 <= sense.force_mean <= sense.force_peak,
                 f"{where}: force_mean {sense.force_mean}, force_peak {sense.force_peak}; 0 or "
-                "more, and the mean not over the peak, would be right",
+                "more, and a mean that is not above the peak, would be right",
             )
-            _hold(sense.slip >= 0.0, f"{where}: slip {sense.slip}; 0 or more would be right")
-            _hold(
+            _require(sense.slip >= 0.0, f"{where}: slip {sense.slip}; 0 or more would be right")
+            _require(
                 sense.slip == 0.0 or sense.force_mean > 0.0,
                 f"{where}: slip {sense.slip} of a foot that touches nothing",
             )
-        _hold(all(map(math.isfinite, body)), f"body at tick {senses[0].tick}: not finite: {body}")
+        _require(
+            all(map(math.isfinite, body)), f"body at tick {senses[0].tick}: not finite: {body}"
+        )
 
 
 def check_reset(make: Make, params: Params) -> None:
-    """Hold that after ``reset`` everything is as at tick 0, and goes on as it did, to the bit."""
+    """Check that a world repeats the same bits from tick 0 on after ``reset``."""
     world = make()
     first = drive(world, params, TICKS // 2)
     world.reset()
     again = drive(world, params, TICKS // 2)
-    _hold(again == first, f"after reset() it goes on otherwise, first {_where(first, again)}")
+    _require(again == first, f"after reset() the world differs, first {_where(first, again)}")
     world.close()
 
 
 def check_repeats(make: Make, params: Params) -> None:
-    """Hold that two worlds given the same commands do the same, to the bit, and others not."""
+    """Check that two worlds with the same commands give the same bits, and other commands not."""
     one, other, third = make(), make(), make()
     first, second = drive(one, params, TICKS), drive(other, params, TICKS)
-    _hold(first == second, f"the same commands end otherwise, first {_where(first, second)}")
-    _hold(
-        drive(third, params, TICKS, seed=2) != first, "other commands change nothing that is sensed"
-    )
+    _require(first == second, f"the same commands give other bits, first {_where(first, second)}")
+    _require(drive(third, params, TICKS, seed=2) != first, "other commands do not change any sense")
     for world in (one, other, third):
         world.close()
 
 
-def check_silence(make: Make, params: Params) -> None:
-    """Hold that a leg without a command comes to rest and stays where it is, as far as can be."""
+def check_no_command(make: Make, params: Params) -> None:
+    """Check that a leg without a command comes to rest."""
     world = make()
     for tick in range(params.gait.ticks):
         world.step(Beat(tick, tick / params.gait.ticks), [None] * len(world.legs))
     for leg, sense in zip(world.legs, world.observe(), strict=True):
-        _hold(
+        _require(
             abs(sense.hip_speed) < 0.5 and abs(sense.knee_speed) < 0.5,
             f"{leg} still moves after a cycle without a command: hip {sense.hip_speed} rad/s, "
             f"knee {sense.knee_speed} rad/s",
@@ -196,8 +197,8 @@ def check_silence(make: Make, params: Params) -> None:
     world.close()
 
 
-def check_closing(make: Make, params: Params) -> None:
-    """Hold that ``close`` may be called twice."""
+def check_close(make: Make, params: Params) -> None:
+    """Check that ``close`` may be called twice."""
     world = make()
     world.close()
     world.close()

@@ -303,7 +303,7 @@ def test_a_bad_table_is_said_before_anything_starts(
         ("/**: {ros__parameters: [1]}", "would be right"),
         ("/**: {ros__parameters: {walk: {gamma: .nan}}}", "out of range"),
         ("walker: {length: 2.0}", "would be right"),
-        ("/**: {ros__parameters: {", "is no YAML"),
+        ("/**: {ros__parameters: {", "not YAML"),
         ("", "would be right"),
     ],
 )

@@ -377,7 +377,7 @@ def test_there_is_a_node_for_every_leg_that_the_parameter_file_describes() -> No
     ("text", "says"),
     [
         (None, "No such file"),
-        ("/**: [", "no YAML"),
+        ("/**: [", "not YAML"),
         ("/**:\n  ros__parameters:\n    robot:\n      legs: [Left]\n", "robot.legs must be a name"),
         ("/**:\n  ros__parameters:\n    robot:\n      legs: [leg, a b]\n", "not 'a b'"),
     ],

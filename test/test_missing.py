@@ -77,7 +77,7 @@ def test_a_node_says_that_ros_is_not_here(node: str) -> None:
     done = without("rclpy", RUN, "ember_ros", "node", node)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
-    assert line.startswith("error: ROS 2 is not here (No module named 'rclpy'): `pip install ")
+    assert line.startswith("error: ROS 2 is not available (No module named 'rclpy'): `pip install ")
 
 
 @pytest.mark.ros

@@ -235,7 +235,7 @@ def test_set_is_read_as_a_file_is() -> None:
         "walker.length": "group.field=value would be right",
         "walker.length=": "empty",
         "walker.length=1_0": "must be a number",
-        "walker.length=[1.0": "no YAML",
+        "walker.length=[1.0": "not YAML",
         "walker.length=*a": "anchors",
     }.items():
         with pytest.raises(ParameterError, match=why):
