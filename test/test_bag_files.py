@@ -391,7 +391,7 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
 
 def test_an_unknown_message_type_is_refused_and_costs_nothing_else(tmp_path: Path) -> None:
     """A BagError names it; what is written before and after is in a bag that closes well."""
-    folder, says = tmp_path / "bag", "type robot_msgs/msg/Leg is none of those that Jazzy"
+    folder, says = tmp_path / "bag", "type robot_msgs/msg/Leg is not part of Jazzy"
     with writing(folder) as writer:
         put(writer, text(0))
         for _ in range(2):
@@ -510,7 +510,7 @@ def test_an_abandoned_bag_is_cut_off_at_its_last_flush(tmp_path: Path) -> None:
         writer.abandon()
         writer.close()
     assert not (folder / METADATA).exists()
-    with pytest.raises(BagError, match=rf"cut off; `ember bag repair {folder}` brings it back"):
+    with pytest.raises(BagError, match=rf"cut off; `ember bag repair {folder}` restores it"):
         Bag(folder)
     done = repair(folder)
     assert (done.messages, done.damaged) == (12, 0)
@@ -672,7 +672,7 @@ def test_a_full_disk_costs_what_was_not_flushed(when: str, room: int, tmp_path: 
     *before, told, refused = child(FULL, str(folder), when, room, given)
     assert before == (["written"] if when == "flush" else [])
     assert told.startswith(f"cannot write the bag {folder}: ")
-    assert f"`ember bag repair {folder}` brings back what is in it" in told
+    assert f"`ember bag repair {folder}` restores what is in it" in told
     assert refused == f"the bag {folder} is closed"
     with pytest.raises(BagError, match=rf"cut off; `ember bag repair {folder}`"):
         Bag(folder)
@@ -1102,7 +1102,7 @@ def test_a_kill_costs_what_was_not_flushed(ticks: int, tmp_path: Path) -> None:
     folder = tmp_path / "killed"
     flushed = killed_at(folder, ticks)
     assert flushed >= ticks
-    with pytest.raises(BagError, match=rf"cut off; `ember bag repair {folder}` brings it back"):
+    with pytest.raises(BagError, match=rf"cut off; `ember bag repair {folder}` restores it"):
         Bag(folder)
     done = repair(folder)
     with Bag(folder) as bag:
@@ -1212,7 +1212,7 @@ def cut(whole: Whole, offset: int, *, metadata: bool) -> None:
     kept = sum(each.end <= offset for each in whole.chunks)
     with bag_of(whole, whole.data[:offset], metadata=metadata) as folder:
         if not kept:
-            refuses(folder, rf"nothing in {folder} is whole")
+            refuses(folder, rf"nothing in {folder} is intact")
             return
         done = repair(folder)
         (file,) = files_of(folder)
@@ -1382,7 +1382,7 @@ def test_a_bag_cut_off_before_its_first_flush(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     with writing(folder) as writer:
         put(writer, text(0))
-    refuses(folder, rf"nothing in {folder} is whole")
+    refuses(folder, rf"nothing in {folder} is intact")
 
 
 @pytest.mark.parametrize("metadata", [True, False])
@@ -1442,20 +1442,20 @@ def test_a_split_bag_with_a_file_missing(tmp_path: Path) -> None:
 
 def test_repairing_what_is_no_bag(tmp_path: Path) -> None:
     """Nothing, an empty folder, a folder of something else, a file: each said, and left alone."""
-    refuses(tmp_path / "nowhere", "there is no bag .*nowhere; the folder of one would be right")
+    refuses(tmp_path / "nowhere", "there is no bag .*nowhere; the folder of a bag would be right")
     (tmp_path / "empty").mkdir()
     refuses(tmp_path / "empty", r"empty is no bag: it has no file of \.mcap or \.db3")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("mine")
     (tmp_path / "other" / METADATA).write_text("mine")
     refuses(tmp_path / "other", "other is no bag")
-    refuses(tmp_path / "other" / "notes.txt", "notes.txt is one file; the folder")
+    refuses(tmp_path / "other" / "notes.txt", "notes.txt is one file; its folder")
     assert (tmp_path / "other" / "notes.txt").read_text() == "mine"
 
 
 @pytest.mark.parametrize("content", [b"", b"mine, and no bag at all\n" * 100])
 @pytest.mark.parametrize(
-    ("ending", "says"), [(".mcap", "nothing in .*bag is whole"), (".db3", "is no whole database")]
+    ("ending", "says"), [(".mcap", "nothing in .*bag is intact"), (".db3", "is no intact database")]
 )
 def test_repairing_files_that_only_look_like_a_bag(
     ending: str, says: str, content: bytes, tmp_path: Path
@@ -1519,7 +1519,7 @@ def test_a_bag_that_is_being_written_is_not_repaired(
     with writing(folder) as writer:
         put(writer, text(0))
         writer.flush()
-        refuses(folder, rf"{folder} is being written at this moment; stop the recording first")
+        refuses(folder, rf"{folder} is being written now; stop the recording first")
         put(writer, text(1))
         writer.close()
     assert written(folder) == [text(0), text(1)]

@@ -523,7 +523,7 @@ WHOLE = RunMetadata.of_config(
     ("changes", "says"),
     [
         ({"first_tick": 5}, ("tick 5", "start the recorder before the world")),
-        ({"start_table_sha256": None}, ("table at its start", "not asked for in time")),
+        ({"start_table_sha256": None}, ("table at its start", "not requested in time")),
         ({"legs": _told(WHOLE, "rear_left", seed=7)}, ("different", "rear_left", "7")),
         ({"legs": _told(WHOLE, "front_right", policy="random")}, ("different", "'random'")),
         ({"legs": _told(WHOLE, "front_left", learning=False)}, ("different", "learning")),
@@ -534,9 +534,9 @@ WHOLE = RunMetadata.of_config(
         ),
         (
             {"legs": {leg: WHOLE.legs[leg] for leg in LEGS[:2]}},
-            ("rear_left, rear_right", "not legs of ours"),
+            ("rear_left, rear_right", "not leg nodes of ember_ros"),
         ),
-        ({"legs": {}}, (", ".join(LEGS), "not legs of ours")),
+        ({"legs": {}}, (", ".join(LEGS), "not leg nodes of ember_ros")),
     ],
 )
 def test_what_cannot_be_replayed_says_why(changes: dict[str, Any], says: Sequence[str]) -> None:

@@ -424,7 +424,7 @@ LAYOUTS = _layouts() if find_spec("mcap") else {}
 REFUSED: dict[str, tuple[Write, str]] = {
     "split, the first file is lost": (split(without=0), "walk_0.mcap"),
     "split, the last file is lost": (split(without=2), "walk_2.mcap"),
-    "no speeds": (mcap(change=joints(without_speeds)), "0 numbers in velocity; 2, one a name"),
+    "no speeds": (mcap(change=joints(without_speeds)), "0 numbers in velocity; 2, one per name"),
     "a count of what is not there": (
         counted_but_not_there,
         r"messages of /\w+/transition are counted, and 0 are there",

@@ -371,7 +371,7 @@ def test_info_tells_what_is_missing(run: Go, walked: Made) -> None:
 def test_info_finds_damage(run: Go, damaged: Path) -> None:
     """One bit of one number: exit code 1, tick and leg; for programs as well."""
     text = words_of(run("bag", "info", damaged, code=1))
-    assert "damaged tick 40, rear_left: senses are not those that were recorded" in text
+    assert "damaged tick 40, rear_left: the senses are not the recorded ones" in text
     found = json.loads(run("bag", "info", damaged, "--json", code=1))
     (damage,) = found["damaged"]
     assert (damage["tick"], damage["leg"]) == (40, "rear_left")
@@ -382,7 +382,7 @@ def test_info_of_a_bag_of_others(run: Go, others: Path) -> None:
     """All but the provenance; it is said why that is not there."""
     text = words_of(run("bag", "info", others))
     assert "64 from 0 on: 1 s, 2 cycles" in text
-    assert "run not told: made by another recorder, cannot be replayed" in text
+    assert "run not recorded: a bag of another recorder, which cannot be replayed" in text
     assert "card" not in json.loads(run("bag", "info", others, "--json"))
 
 
@@ -472,7 +472,7 @@ def test_repair_keeps_what_was_finished(run: Go) -> None:
     ticks = int(lines["ticks"].split()[0])
     assert 0 < ticks < CYCLES * TICKS
     assert ticks % 16 == 0
-    assert int(lines["torn at the end"].split()[0]) > 0
+    assert int(lines["cut off at the end"].split()[0]) > 0
     found = json.loads(run("bag", "info", "bag", "--json"))
     assert (found["ticks"], found["damaged"], found["lost_ticks"]) == (ticks, [], 0)
     assert "Equal, bit for bit." in run("replay", "bag")
@@ -488,7 +488,7 @@ def test_repair_of_nothing_is_a_mistake(run: Go, content: bytes | None) -> None:
         assert "is no bag" in mistake(run, "bag", "repair", "bag")
     else:
         Path("bag/bag_0.mcap").write_bytes(content)
-        assert "nothing in bag is whole" in mistake(run, "bag", "repair", "bag")
+        assert "nothing in bag is intact" in mistake(run, "bag", "repair", "bag")
         assert [file.name for file in Path("bag").iterdir()] == ["bag_0.mcap"]
         assert Path("bag/bag_0.mcap").read_bytes() == content
 
@@ -500,10 +500,10 @@ def test_replay_comes_out_equal(run: Go, walked: Made) -> None:
     """Exit code 0, how much was held against the record, and the table, which can be kept."""
     text = words_of(run("replay", walked.bag, "--table", "again.npz"))
     assert "ticks 64 (2 cycles)" in text
-    assert "commands 256 held against the record" in text
-    assert f"table SHA-256 {walked.table[:12]}, as recorded" in text
+    assert "commands 256 compared with the record" in text
+    assert f"table SHA-256 {walked.table[:12]}, equal to the recorded one" in text
     assert text.endswith("Equal, bit for bit.")
-    assert "In again.npz: the table in the end" in text
+    assert "In again.npz: the table at the end" in text
     assert load_table(Path("again.npz"), PARAMS)[0].sha256() == walked.table
     before = Path("again.npz").read_bytes()
     assert "is there already" in run("replay", walked.bag, "--table", "again.npz", code=2)
@@ -518,7 +518,7 @@ def test_replay_begins_with_the_table_of_the_run(run: Go, world: str) -> None:
     save_table(Path("start.npz"), table, PARAMS, 0)
     made = record(Path("bag"), world=world, table=Path("start.npz"))
     Path("start.npz").unlink()
-    assert f"{made.table[:12]}, as recorded" in words_of(run("replay", "bag"))
+    assert f"{made.table[:12]}, equal to the recorded one" in words_of(run("replay", "bag"))
 
 
 @pytest.mark.parametrize("lost", ["/run/values", "/run/visits"])
@@ -578,7 +578,7 @@ def test_replay_says_what_it_could_not_compare(run: Go, walked: Made) -> None:
     """A command that nobody recorded is counted; all else came out equal."""
     bag = rewritten(walked, Path("bag"), without("/rear_left/command", since=30, until=33))
     text = words_of(run("replay", bag))
-    assert "commands 253 held against the record" in text
+    assert "commands 253 compared with the record" in text
     assert "rear_left 3 ticks without a recorded command" in text
     assert "Equal, bit for bit." in text
 
@@ -588,13 +588,13 @@ def test_replay_holds_the_table_at_the_end_against_the_record(run: Go, walked: M
     bag = shutil.copytree(walked.bag, "bag")
     seal(Path(bag), table_sha256="f00d" * 16)
     text = words_of(run("replay", "bag", code=1))
-    assert f"{walked.table[:12]}, recorded was f00df00df00d" in text
+    assert f"{walked.table[:12]}, the recorded one is f00df00df00d" in text
     assert "Equal" not in text
     content = yaml.safe_load(Path("bag", METADATA).read_text())
     content[INFORMATION]["custom_data"] = None
     Path("bag", METADATA).write_text(yaml.safe_dump(content))
     text = words_of(run("replay", "bag"))
-    assert "the run's own was not recorded" in text
+    assert "not compared: the bag has none" in text
     assert "Equal, bit for bit." in text
 
 
@@ -622,8 +622,8 @@ def test_replay_on_the_graph(
     words = ["replay", str(walked.bag), "--on", "graph"]
     main.main(words, prog_name="ember", standalone_mode=False)  # rclpy wants a real stderr
     text = words_of(capfd.readouterr().out)
-    assert "commands 256 held against the record" in text
-    assert f"table SHA-256 {walked.table[:12]}, as recorded" in text
+    assert "commands 256 compared with the record" in text
+    assert f"table SHA-256 {walked.table[:12]}, equal to the recorded one" in text
     assert text.endswith("Equal, bit for bit.")
 
 
@@ -726,14 +726,14 @@ def test_relearn_does_not_replace_unasked(run: Go, walked: Made) -> None:
     run("relearn", walked.bag, "--out", "o")
     before = {file.name: file.read_bytes() for file in Path("o").iterdir()}
     said = mistake(run, "relearn", walked.bag, "--out", "o", "--gamma", 0.5)
-    assert "o holds table.npz, params.yaml, relearn.json already" in said
+    assert "o has table.npz, params.yaml, relearn.json already" in said
     assert "--force" in said
     assert {file.name: file.read_bytes() for file in Path("o").iterdir()} == before
     run("relearn", walked.bag, "--out", "o", "--gamma", 0.5, "--force")
     assert relearnt(Path("o"))[1].walk.gamma == 0.5
     Path("mine").mkdir()
     Path("mine/params.yaml").write_text("mine")
-    assert "mine holds params.yaml already" in mistake(run, "relearn", walked.bag, "--out", "mine")
+    assert "mine has params.yaml already" in mistake(run, "relearn", walked.bag, "--out", "mine")
 
 
 @pytest.mark.parametrize(

@@ -78,4 +78,4 @@ def test_the_walk_is_replayed() -> None:
     """The first thing that may be tried on a bag works without one's own."""
     told = CliRunner().invoke(main, ["replay", BAG])
     assert told.exit_code == 0, told.output
-    assert "as recorded" in told.output
+    assert "equal to the recorded one" in told.output

@@ -1,9 +1,9 @@
-"""Reads the messages in a bag's files, MCAP or SQLite, whoever wrote them. Pure.
+"""Reads the messages in a bag's files, MCAP or SQLite, of any recorder. Pure.
 
-Every file is gone through from its beginning to its end; no index is needed and none is believed.
-What is said twice (the quality of service in the file and in ``metadata.yaml``, how a message is
-compressed) need not agree. But whatever anybody counted must be read, or it is an error: a bag is
-read whole, or not at all.
+Every file is read from its beginning to its end; indexes are ignored. Data that is stored twice
+(QoS in the file and in ``metadata.yaml``, the compression of a message) need not agree. But if
+fewer messages are found than a file or ``metadata.yaml`` counts, it is an error: a bag is read
+completely, or not at all.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ _SQLITE = b"SQLite format 3\0"
 
 
 class Connection(NamedTuple):
-    """A topic with one type, as the files say it."""
+    """A topic with one type, as the files define it."""
 
     topic: str
     msgtype: str
     msgcount: int
     encoding: str
-    """Of its messages: ``cdr``, or something that nobody here reads."""
+    """Of its messages: ``cdr``, or one that is not read here."""
     schema: tuple[str, bytes]
-    """How its type is defined, ``ros2msg`` or ``ros2idl``, and the definition; may be empty."""
-    told: dict[str, str]
-    """What else the file says of it: quality of service, the hash of its type."""
+    """The format of its type's definition, ``ros2msg`` or ``ros2idl``, and the definition."""
+    metadata: dict[str, str]
+    """What else the file has on it: QoS profiles, the hash of its type."""
 
 
 class Message(NamedTuple):
-    """One message as it lies in a bag."""
+    """One message of a bag."""
 
     ns: int
     topic: str
@@ -67,12 +67,12 @@ Key: TypeAlias = "tuple[str, str]"
 
 
 class _Source(NamedTuple):
-    """Messages that come in the order of their times, not to be opened before the first is due."""
+    """Messages in the order of their times; it is opened when its first message is next."""
 
     first: int
     messages: Callable[[], Iterator[Message]]
     size: int
-    """Bytes that it keeps in memory while it is open."""
+    """Bytes of memory that it needs while it is open."""
 
 
 class _Storage(Protocol):
@@ -100,32 +100,32 @@ def _decompressor() -> Any:
     return _zstd().ZstdDecompressor(max_window_size=MAX_BYTES)
 
 
-def unpack(data: bytes, compression: str, size: int, most: int = MAX_BYTES) -> bytes:
-    """Return what was compressed, without ever holding more than ``size`` bytes of it and one.
+def unpack(data: bytes, compression: str, size: int, limit: int = MAX_BYTES) -> bytes:
+    """Return uncompressed data, of which at most ``size`` bytes and one are ever in memory.
 
     Raises:
-        ValueError: it is of another size, too large, or compressed in another way.
+        ValueError: it has another size, is too large, or has another compression.
     """
-    if size > most:
-        raise ValueError(f"{size} bytes in one chunk; up to {most} are unpacked")
+    if size > limit:
+        raise ValueError(f"{size} bytes in one chunk; up to {limit} are unpacked")
     if compression == "":
-        found = data
+        unpacked_data = data
     elif compression == "zstd":
         with _decompressor().stream_reader(data) as reader:
-            found = reader.read(size + 1)
+            unpacked_data = reader.read(size + 1)
     elif compression == "lz4":
         import lz4.frame
 
-        found = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+        unpacked_data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
     else:
         raise ValueError(f"compressed as {shown(compression)}; zstd or lz4 would be right")
-    if len(found) != size:
-        raise ValueError(f"{len(found)} bytes are unpacked instead of {size}")
-    return bytes(found)
+    if len(unpacked_data) != size:
+        raise ValueError(f"{len(unpacked_data)} bytes are unpacked instead of {size}")
+    return bytes(unpacked_data)
 
 
 def plain(data: bytes) -> bytes:
-    """Return a message as it was sent: one that begins like zstd cannot be CDR, and is unpacked.
+    """Return a message uncompressed: one that begins like zstd cannot be CDR, and is unpacked.
 
     Raises:
         ValueError: it is too large, or cut off.
@@ -133,35 +133,35 @@ def plain(data: bytes) -> bytes:
     if data[:4] != _ZSTD:
         return data
     with _decompressor().stream_reader(data, read_across_frames=True) as reader:
-        found = bytes(reader.read(MAX_BYTES + 1))
-    if len(found) > MAX_BYTES:
+        message = bytes(reader.read(MAX_BYTES + 1))
+    if len(message) > MAX_BYTES:
         raise ValueError(f"a message of more than {MAX_BYTES} bytes when it is unpacked")
     size = _zstd().frame_content_size(data)
-    if size >= 0 and size != len(found):
-        raise ValueError(f"a message of {len(found)} bytes that says it has {size}")
-    return found
+    if size >= 0 and size != len(message):
+        raise ValueError(f"a message of {len(message)} bytes with a header that says {size}")
+    return message
 
 
 def unpacked(file: Path, folder: Path) -> Path:
-    """Return a file that was compressed as a whole, unpacked into ``folder``; or itself.
+    """Return a file that was compressed as a whole, unpacked into ``folder``; others unchanged.
 
     Raises:
-        ValueError: it grows beyond all measure.
+        ValueError: it is too large when it is unpacked.
     """
     with open_file(file) as raw:
         if raw.read(4) != _ZSTD:
             return file
         raw.seek(0)
-        into, most = folder / file.stem, MAX_BYTES + file.stat().st_size * MAX_TIMES
-        size = _zstd().frame_content_size(raw.read(18))  # -1 where it is not said
+        into, limit = folder / file.stem, MAX_BYTES + file.stat().st_size * MAX_TIMES
+        size = _zstd().frame_content_size(raw.read(18))  # -1 if it is unknown
         raw.seek(0)
-        if size > most:
-            raise ValueError(f"{file} says that it grows to {size} bytes; up to {most} are right")
+        if size > limit:
+            raise ValueError(f"{file} grows to {size} bytes by its header; up to {limit} are right")
         size = 0
         with into.open("wb") as out:
             for part in _decompressor().read_to_iter(raw):
                 size += len(part)
-                if size > most:
+                if size > limit:
                     raise ValueError(f"{file} grows to more than {MAX_TIMES} times its size")
                 out.write(part)
     return into
@@ -176,7 +176,7 @@ FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, STATISTICS, _DATA_END = 2, 3, 4, 5, 6, 
 
 
 class _Run(NamedTuple):
-    """Messages that lie outside of chunks, one behind the other and in the order of their times."""
+    """Messages outside of chunks, one behind the other and in the order of their times."""
 
     first: int
     begin: int
@@ -184,27 +184,27 @@ class _Run(NamedTuple):
 
 
 class Channels:
-    """What an MCAP file says of its channels."""
+    """The channels of an MCAP file."""
 
     def __init__(self) -> None:
-        """Begin before the first record."""
+        """Begin without channels."""
         self.keys: dict[int, Key] = {}
         self.counted: dict[int, int] = {}
-        """Messages a channel, as the file's statistics have it."""
-        self._learnt: dict[tuple[int, bytes], bytes] = {}
+        """Messages per channel, by the file's statistics."""
+        self._records: dict[tuple[int, bytes], bytes] = {}
         self._size = 0
         self._schemas: dict[int, tuple[str, tuple[str, bytes]]] = {}
-        self._told: dict[int, tuple[str, tuple[str, bytes], dict[str, str]]] = {}
+        self._descriptions: dict[int, tuple[str, tuple[str, bytes], dict[str, str]]] = {}
 
-    def learn(self, kind: int, data: bytes) -> None:
-        """Take in a record, if it tells of messages.
+    def add(self, kind: int, data: bytes) -> None:
+        """Add a record, if it is a schema, a channel or statistics.
 
         Raises:
-            ValueError: it is cut off, or tells something else than one before it.
+            ValueError: it is cut off, or contradicts an earlier one.
         """
-        if kind not in (SCHEMA, CHANNEL, STATISTICS) or self._learnt.get((kind, data[:2])) == data:
+        if kind not in (SCHEMA, CHANNEL, STATISTICS) or self._records.get((kind, data[:2])) == data:
             return
-        self._learnt[kind, data[:2]] = data
+        self._records[kind, data[:2]] = data
         self._size += len(data)
         if self._size > MAX_REPORTED:
             raise ValueError(f"more than {MAX_REPORTED} bytes about its topics")
@@ -222,23 +222,24 @@ class Channels:
             key = self.keys.setdefault(channel.id, (channel.topic, name))
             if key != (channel.topic, name):
                 raise ValueError(f"channel {channel.id} is {key}, and {channel.topic}, {name} too")
-            self._told[channel.id] = channel.message_encoding, text, dict(channel.metadata)
+            self._descriptions[channel.id] = channel.message_encoding, text, dict(channel.metadata)
         else:
-            told = records.Statistics.read(stream)
-            if sum(told.channel_message_counts.values()) == told.message_count:
-                self.counted = dict(told.channel_message_counts)
+            statistics = records.Statistics.read(stream)
+            counts = dict(statistics.channel_message_counts)
+            if sum(counts.values()) == statistics.message_count:
+                self.counted = counts
 
     def connection(self, number: int, count: int) -> Connection:
-        """Return what is known of a channel."""
-        encoding, schema, told = self._told[number]
-        return Connection(*self.keys[number], count, encoding, schema, told)
+        """Return a channel with its number of messages."""
+        encoding, schema, metadata = self._descriptions[number]
+        return Connection(*self.keys[number], count, encoding, schema, metadata)
 
 
 class Mcap:
-    """An MCAP file that was ended well, chunks or no chunks, index or no index."""
+    """An MCAP file that was closed, with or without chunks and indexes."""
 
     def __init__(self, file: Path) -> None:
-        """Go through the file, chunk by chunk, unpacking none if the file says what is inside.
+        """Read the file record by record; chunks are unpacked only if the statistics are missing.
 
         Raises:
             ValueError: it is cut off or damaged.
@@ -248,7 +249,7 @@ class Mcap:
         self._runs: list[_Run] = []
         self._file = open_file(file)
         try:
-            self._walk()
+            self._read_records()
             counts = self._counts()
         except BaseException:
             self.close()
@@ -262,7 +263,7 @@ class Mcap:
         """Close the file."""
         self._file.close()
 
-    def _walk(self) -> None:
+    def _read_records(self) -> None:
         raw = self._file
         size = raw.seek(0, os.SEEK_END)
         raw.seek(0)
@@ -287,13 +288,13 @@ class Mcap:
             elif kind == CHUNK:
                 if length < _OF_CHUNK.size:
                     raise ValueError("a chunk is damaged")
-                first, _, told, _, _ = _OF_CHUNK.unpack(raw.read(_OF_CHUNK.size))
-                self._chunks.append((first, begin + HEAD.size, length, told))
-                grown += told
+                first, _, unpacked_size, _, _ = _OF_CHUNK.unpack(raw.read(_OF_CHUNK.size))
+                self._chunks.append((first, begin + HEAD.size, length, unpacked_size))
+                grown += unpacked_size
                 if grown > MAX_BYTES + MAX_TIMES * size:
                     raise ValueError(f"it grows to more than {MAX_TIMES} times its size")
             elif kind in (SCHEMA, CHANNEL, STATISTICS):
-                self._channels.learn(kind, bounded(raw, length))
+                self._channels.add(kind, bounded(raw, length))
             elif kind == FOOTER:
                 break
             raw.seek(at)
@@ -303,7 +304,7 @@ class Mcap:
         self._end = begin
 
     def _counts(self) -> Counter[int]:
-        """Return how many messages each channel has: as was counted, or anew."""
+        """Return the messages per channel: by the statistics, or counted here."""
         counted, empty = self._channels.counted, not (self._chunks or self._runs)
         if counted.keys() <= self._channels.keys.keys() and (empty or any(counted.values())):
             return Counter(counted)
@@ -314,37 +315,37 @@ class Mcap:
             counts.update(number for _, number, _ in self._in_run(run))
         unknown = counts.keys() - self._channels.keys.keys()
         if unknown:
-            raise ValueError(f"nothing tells what its channels {sorted(unknown)} are")
+            raise ValueError(f"its channels {sorted(unknown)} are not defined")
         return counts
 
     def sources(self, wanted: Collection[Key], start: int) -> Iterator[_Source]:
-        """Yield the chunks, and the runs of messages outside of them."""
+        """Yield the chunks, and the runs of messages outside of chunks."""
         numbers = {n: key for n, key in self._channels.keys.items() if key in wanted}
 
-        def reads(found: Callable[[Any], Iterator[tuple[int, int, bytes]]], place: Any) -> Any:
+        def reader(messages: Callable[[Any], Iterator[tuple[int, int, bytes]]], place: Any) -> Any:
             def read() -> Iterator[Message]:
-                for ns, number, data in found(place):
+                for ns, number, data in messages(place):
                     if ns >= start and number in numbers:
                         yield Message(ns, *numbers[number], plain(data))
 
             return read
 
         for place in self._chunks:
-            yield _Source(place[0], reads(self._in_chunk, place), place[3])
+            yield _Source(place[0], reader(self._in_chunk, place), place[3])
         for run in self._runs:
-            yield _Source(run.first, reads(self._in_run, run), 0)
+            yield _Source(run.first, reader(self._in_run, run), 0)
 
     def _in_chunk(self, place: tuple[int, int, int, int]) -> Iterator[tuple[int, int, bytes]]:
-        """Yield the messages of a chunk by their times: time, channel, bytes."""
+        """Yield the messages of a chunk in the order of their times: time, channel, bytes."""
         _, at, length, _ = place
         self._file.seek(at)
-        found = []
+        messages = []
         for kind, data in records_in(chunk(bounded(self._file, length))):
             if kind == MESSAGE:
-                found.append(message_in(data))
+                messages.append(message_in(data))
             else:
-                self._channels.learn(kind, data)
-        yield from sorted(found, key=lambda message: message[0])
+                self._channels.add(kind, data)
+        yield from sorted(messages, key=lambda message: message[0])
 
     def _in_run(self, run: _Run) -> Iterator[tuple[int, int, bytes]]:
         at = run.begin
@@ -356,45 +357,45 @@ class Mcap:
                 yield message_in(bounded(self._file, length))
 
     def check(self) -> None:
-        """Hold the file against the CRCs of its data and of its summary, where there are any.
+        """Check the CRCs of the data and of the summary, where there are any.
 
         Raises:
-            ValueError: something in it was changed.
+            ValueError: a CRC is wrong.
         """
         self._file.seek(self._end + HEAD.size)
         summary, _, expected = struct.unpack("<QQI", self._file.read(20))
-        # All from the summary on, with the footer but for the CRC itself.
+        # From the summary on, with the footer except for the CRC itself.
         of_summary = (summary, self._end + HEAD.size + 16)
         if expected and summary and _crc(self._file, *of_summary) != expected:
-            raise ValueError("its summary is not as it was written")
+            raise ValueError("its summary is damaged: its CRC-32 is wrong")
         end = summary or self._end
         self._file.seek(max(0, end - HEAD.size - 4))
         kind, length, expected = struct.unpack("<BQI", self._file.read(HEAD.size + 4))
-        there = (kind, length) == (_DATA_END, 4) and expected
-        if there and _crc(self._file, 0, end - HEAD.size - 4) != expected:
-            raise ValueError("its data are not as they were written")
+        has_crc = (kind, length) == (_DATA_END, 4) and expected
+        if has_crc and _crc(self._file, 0, end - HEAD.size - 4) != expected:
+            raise ValueError("its data are damaged: their CRC-32 is wrong")
 
 
 def bounded(raw: BinaryIO, length: int) -> bytes:
-    """Return what a record holds."""
+    """Return the content of a record."""
     if length > MAX_BYTES:
         raise ValueError(f"a record of {length} bytes; up to {MAX_BYTES} are read")
     return raw.read(length)
 
 
 class _Exactly:
-    """Bytes that are read as many as are asked for, or not at all."""
+    """A stream whose ``read`` returns exactly the requested number of bytes, or raises."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self._at = data, 0
 
     def read(self, length: int) -> bytes:
         """Return the next bytes."""
-        found = self._data[self._at : self._at + length]
-        if len(found) < length:
-            raise ValueError("a record ends before it is whole")
+        data = self._data[self._at : self._at + length]
+        if len(data) < length:
+            raise ValueError("a record ends before it is complete")
         self._at += length
-        return found
+        return data
 
 
 def _crc(raw: BinaryIO, begin: int, end: int) -> int:
@@ -409,13 +410,13 @@ def _crc(raw: BinaryIO, begin: int, end: int) -> int:
 
 
 def message_in(data: bytes) -> tuple[int, int, bytes]:
-    """Return time, channel and bytes in the record of a message, which is whole."""
+    """Return time, channel and bytes in a complete record of a message."""
     number, _, ns, _ = _OF_MESSAGE.unpack_from(data)
     return ns, number, data[_OF_MESSAGE.size :]
 
 
-def chunk(data: bytes, most: int = MAX_BYTES) -> bytes:
-    """Return what is inside an MCAP chunk, its CRC checked, of up to ``most`` bytes.
+def chunk(data: bytes, limit: int = MAX_BYTES) -> bytes:
+    """Return the content of an MCAP chunk, of up to ``limit`` bytes; its CRC is checked.
 
     Raises:
         ValueError: it is damaged, or larger.
@@ -427,14 +428,14 @@ def chunk(data: bytes, most: int = MAX_BYTES) -> bytes:
     compression = data[_OF_CHUNK.size : at].decode(errors="replace")
     if len(data) < at + 8 or struct.unpack_from("<Q", data, at)[0] != len(data) - at - 8:
         raise ValueError("a chunk is damaged")
-    found = unpack(data[at + 8 :], compression, size, min(most, MAX_BYTES))
-    if crc and zlib.crc32(found) != crc:
-        raise ValueError("a chunk has another CRC-32 than it names")
-    return found
+    content = unpack(data[at + 8 :], compression, size, min(limit, MAX_BYTES))
+    if crc and zlib.crc32(content) != crc:
+        raise ValueError("a chunk is damaged: its CRC-32 is wrong")
+    return content
 
 
 def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the records of an unpacked chunk: what each is, and its bytes.
+    """Yield the records of an unpacked chunk: kind and bytes.
 
     Raises:
         ValueError: one is cut off, or there are too many.
@@ -457,18 +458,18 @@ def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 class Sqlite3:
-    """A SQLite file of rosbag2, from Dashing's on."""
+    """A SQLite file of rosbag2, of Dashing or later."""
 
     def __init__(self, file: Path) -> None:
-        """Open the file, read-only and as it is.
+        """Open the file, read-only and immutable.
 
         Raises:
-            ValueError: it is none of a bag, or somebody has not ended writing it.
+            ValueError: it is no file of a bag, or was not closed.
         """
         for ending in ("-wal", "-journal"):
             beside = file.with_name(file.name + ending)
             if beside.exists() and beside.stat().st_size:
-                raise ValueError(f"{beside.name} lies beside it: it was not closed")
+                raise ValueError(f"{beside.name} is in the same folder: it was not closed")
         uri = f"{file.resolve().as_uri()}?mode=ro&immutable=1"
         self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
         try:
@@ -486,11 +487,11 @@ class Sqlite3:
         self._database.close()
 
     def _columns(self, table: str) -> list[str]:
-        """Return the columns of a table; none of a view, which may compute for ever."""
+        """Return the columns of a table; none for a view, which may compute without end."""
         rows = self._database.execute("SELECT type FROM sqlite_master WHERE name = ?", (table,))
         if [row[0] for row in rows] != ["table"]:
             return []
-        # The sixth number tells what is generated, and not there.
+        # The seventh value marks generated columns, which are not stored.
         info = self._database.execute(f"PRAGMA table_xinfo({table})").fetchall()
         return [row[1] for row in info if row[6] == 0]
 
@@ -502,16 +503,19 @@ class Sqlite3:
         if missing:
             raise ValueError(f"no table of topics or messages has {', '.join(sorted(missing))}")
         definitions: dict[str, tuple[str, bytes]] = {}
-        told = {"topic_type", "encoding", "encoded_message_definition"}
-        if told <= set(self._columns("message_definitions")):
+        columns_needed = {"topic_type", "encoding", "encoded_message_definition"}
+        if columns_needed <= set(self._columns("message_definitions")):
             for kind, encoding, text in self._database.execute(
                 "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
             ):
                 definitions[str(kind)] = str(encoding), str(text).encode()
         counted = "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
         counts: dict[Any, int] = dict(self._database.execute(counted).fetchall())
-        also = {"offered_qos_profiles": "", "type_description_hash": ""}
-        fields = [*("id", "name", "type", "serialization_format"), *(also.keys() & set(columns))]
+        optional = ("offered_qos_profiles", "type_description_hash")
+        fields = [
+            *("id", "name", "type", "serialization_format"),
+            *(name for name in optional if name in columns),
+        ]
         for number, name, kind, encoding, *rest in self._database.execute(
             f"SELECT {', '.join(fields)} FROM topics ORDER BY id"
         ):
@@ -520,18 +524,18 @@ class Sqlite3:
                     f"topic {shown(number)} has the name {shown(name)} and the type {shown(kind)}"
                 )
             key = name, kind
-            more = dict(zip(fields[4:], map(str, rest), strict=True))
-            if "type_description_hash" in more:
-                more["topic_type_hash"] = more.pop("type_description_hash")
+            metadata = dict(zip(fields[4:], map(str, rest), strict=True))
+            if "type_description_hash" in metadata:
+                metadata["topic_type_hash"] = metadata.pop("type_description_hash")
             self._topics[number] = key
             count = counts.pop(number, 0)
             if key in self.connections:
                 count += self.connections[key].msgcount
             self.connections[key] = Connection(
-                *key, count, str(encoding), definitions.get(key[1], ("", b"")), more
+                *key, count, str(encoding), definitions.get(key[1], ("", b"")), metadata
             )
         if counts:
-            raise ValueError(f"{sum(counts.values())} messages are of no topic that it names")
+            raise ValueError(f"{sum(counts.values())} messages have a topic that is not defined")
 
     def sources(self, wanted: Collection[Key], start: int) -> Iterator[_Source]:
         """Yield all messages as one source."""
@@ -540,12 +544,12 @@ class Sqlite3:
             return
         marks = ",".join("?" * len(numbers))
         where = f"FROM messages WHERE topic_id IN ({marks}) AND timestamp >= ?"
-        given = (*numbers, max(start, -(1 << 63)))
-        first = self._database.execute(f"SELECT min(timestamp) {where}", given).fetchone()[0]
+        values = (*numbers, max(start, -(1 << 63)))
+        first = self._database.execute(f"SELECT min(timestamp) {where}", values).fetchone()[0]
 
         def read() -> Iterator[Message]:
             rows = self._database.execute(
-                f"SELECT topic_id, timestamp, data {where} ORDER BY timestamp, id", given
+                f"SELECT topic_id, timestamp, data {where} ORDER BY timestamp, id", values
             )
             for number, ns, data in rows:
                 if type(ns) is not int or type(data) is not bytes:
@@ -556,43 +560,43 @@ class Sqlite3:
             yield _Source(first if type(first) is int else start, read, 0)
 
     def check(self) -> None:
-        """Have SQLite look at all of its pages.
+        """Let SQLite check all pages.
 
         Raises:
-            ValueError: one is damaged.
+            ValueError: a page is damaged.
         """
-        (said,) = self._database.execute("PRAGMA quick_check(1)").fetchone()
-        if said != "ok":
-            raise ValueError(str(said))
+        (result,) = self._database.execute("PRAGMA quick_check(1)").fetchone()
+        if result != "ok":
+            raise ValueError(str(result))
 
 
 # -- a whole bag -----------------------------------------------------------------------------------
 
 
 def number(value: Any, what: str) -> int:
-    """Return a whole number of ``metadata.yaml``, which some tools write as text.
+    """Return an integer of ``metadata.yaml``, which some tools write as text.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is no integer.
     """
     text = value.strip() if isinstance(value, str) else value
     if type(text) is int or (isinstance(text, str) and text.isdecimal() and len(text) < 20):
         return int(text)
-    raise ValueError(f"its {METADATA} says {shown(value)} for {what}; a whole number is right")
+    raise ValueError(f"its {METADATA} has {shown(value)} for {what}; a whole number is right")
 
 
 def _order(sources: Iterator[_Source]) -> Iterator[Message]:
-    """Yield what the sources have by its times, with no source open before it is due."""
+    """Yield the messages of all sources by their times; a source is opened when it is next."""
     waiting = sorted(enumerate(sources), key=lambda each: (each[1].first, each[0]), reverse=True)
     heap: list[tuple[int, int, Message, Iterator[Message]]] = []
     sizes: dict[int, int] = {}
     while heap or waiting:
-        # Of two of one time the first is read to its end before the second is opened.
+        # Of two sources with the same time the first is read completely before the second.
         while waiting and (not heap or (waiting[-1][1].first, waiting[-1][0]) < heap[0][:2]):
             n, source = waiting.pop()
             messages, sizes[n] = source.messages(), source.size
             if len(sizes) > 1 and sum(sizes.values()) > MAX_OPEN:
-                raise ValueError(f"chunks of more than {MAX_OPEN} bytes are of the same time")
+                raise ValueError(f"chunks of more than {MAX_OPEN} bytes have the same times")
             for message in messages:
                 heapq.heappush(heap, (message.ns, n, message, messages))
                 break
@@ -617,13 +621,13 @@ class Files:
         """Open a bag's folder, or one file of it.
 
         Raises:
-            BagError: a file is missing, or of something else.
-            Exception: it is damaged; nearly anything that SQLite, zstd or struct raise.
+            BagError: a file is missing, or is no file of a bag.
+            Exception: it is damaged; any kind that SQLite, zstd or struct raise.
         """
         self.paths = [path]
         self.connections: dict[Key, Connection] = {}
         self.topics: dict[Key, dict[str, Any]] = {}
-        """What ``metadata.yaml`` says of each topic."""
+        """The entry of each topic in ``metadata.yaml``."""
         self._expected: Counter[Key] = Counter()
         self._opened: list[_Storage] = []
         self._close = contextlib.ExitStack()
@@ -635,8 +639,8 @@ class Files:
         except BaseException:
             self.close()
             raise
-        for key, told in self.topics.items():
-            encoding = str(told.get("serialization_format", "cdr"))
+        for key, topic in self.topics.items():
+            encoding = str(topic.get("serialization_format", "cdr"))
             empty = Connection(*key, 0, encoding, ("", b""), {})
             self.connections.setdefault(key, empty)
 
@@ -645,26 +649,29 @@ class Files:
         self._close.close()
 
     def _read_metadata(self, folder: Path) -> None:
-        told = read_metadata(folder)
-        version = told.get("version")
+        metadata = read_metadata(folder)
+        version = metadata.get("version")
         with contextlib.suppress(ValueError):
             version = number(version, "version")
         if type(version) is not int or version > VERSION:
             raise BagError(
-                f"{folder} is a bag of version {shown(version)}; versions up to {VERSION} are known"
+                f"{folder} is a bag of version {shown(version)}; versions up to {VERSION} are read"
             )
-        storage = told.get("storage_identifier") or ""
+        storage = metadata.get("storage_identifier") or ""
         if storage and storage not in STORAGES:
             raise BagError(
                 f"{folder} is stored as {shown(storage)}; {' or '.join(STORAGES)} would be right"
             )
-        packed = str(told.get("compression_format") or "zstd")
-        if packed != "zstd" and str(told.get("compression_mode") or "none").lower() != "none":
-            raise BagError(f"{folder} is compressed as {shown(packed)}; zstd would be right")
-        names = told.get("relative_file_paths")
+        compression = str(metadata.get("compression_format") or "zstd")
+        if (
+            compression != "zstd"
+            and str(metadata.get("compression_mode") or "none").lower() != "none"
+        ):
+            raise BagError(f"{folder} is compressed as {shown(compression)}; zstd would be right")
+        names = metadata.get("relative_file_paths")
         if not isinstance(names, list) or not names:
             raise ValueError(f"its {METADATA} names no file")
-        # Some versions wrote folder/file; and no file of a bag lies anywhere but in its folder.
+        # Some versions wrote folder/file; a bag has files in its own folder only.
         self.paths = [folder / PurePath(str(name)).name for name in dict.fromkeys(map(str, names))]
         missing = [file.name for file in self.paths if not os.path.lexists(file)]
         if missing:
@@ -674,51 +681,50 @@ class Files:
             )
         for file in self.paths:
             check_file(file, folder)
-        for each in told.get("topics_with_message_count") or ():
-            topic = each["topic_metadata"]
+        for entry in metadata.get("topics_with_message_count") or ():
+            topic = entry["topic_metadata"]
             key = str(topic["name"]), str(topic["type"])
             self.topics[key] = topic
-            self._expected[key] += number(each["message_count"], f"the messages of {key[0]}")
+            self._expected[key] += number(entry["message_count"], f"the messages of {key[0]}")
         check_topics(self.topics)
 
     def _open(self, file: Path) -> None:
         with open_file(file) as raw:
-            begins = raw.read(16)
-        if not begins:
+            head = raw.read(16)
+        if not head:
             raise ValueError(f"the file {file.name} is empty")
-        if begins[:4] == _ZSTD:
+        if head[:4] == _ZSTD:
             folder = self._close.enter_context(tempfile.TemporaryDirectory(prefix="ember_ros_bag_"))
             file = unpacked(file, Path(folder))
             with file.open("rb") as raw:
-                begins = raw.read(16)
+                head = raw.read(16)
         opened: Mcap | Sqlite3
-        opened = Sqlite3(file) if begins == _SQLITE else Mcap(file)
+        opened = Sqlite3(file) if head == _SQLITE else Mcap(file)
         self._close.callback(opened.close)
         self._opened.append(opened)
-        for key, each in opened.connections.items():
+        for key, connection in opened.connections.items():
             known = self.connections.get(key)
-            if known is not None:
-                each = each._replace(msgcount=each.msgcount + known.msgcount)
-            self.connections[key] = each
+            count = connection.msgcount + (known.msgcount if known else 0)
+            self.connections[key] = connection._replace(msgcount=count)
 
     def messages(
         self, wanted: Collection[Key] | None = None, start: int | None = None
     ) -> Iterator[Message]:
-        """Yield messages by their times; all that were counted, or none of them was right.
+        """Yield messages in the order of their times; fewer than are counted is an error.
 
         Args:
             wanted: topics and their types; all for None.
             start: the first time, ns.
 
         Raises:
-            ValueError: fewer are there than are counted in the files or in the metadata.
+            ValueError: there are fewer than the files or the metadata count.
             Exception: a file is damaged.
         """
         keys = self.connections.keys() if wanted is None else wanted
         begin = -(1 << 63) if start is None else start
-        found: Counter[Key] = Counter()
-        for message in _order(s for each in self._opened for s in each.sources(keys, begin)):
-            found[message[1:3]] += 1
+        read: Counter[Key] = Counter()
+        for message in _order(s for file in self._opened for s in file.sources(keys, begin)):
+            read[message[1:3]] += 1
             yield message
         if start is not None:
             return
@@ -726,24 +732,24 @@ class Files:
             if key not in self.connections:
                 continue
             expected = max(self.connections[key].msgcount, self._expected[key])
-            if found[key] < expected:
+            if read[key] < expected:
                 raise ValueError(
-                    f"{expected} messages of {key[0]} are counted, and {found[key]} are there"
+                    f"{expected} messages of {key[0]} are counted, and {read[key]} are there"
                 )
 
     def check(self) -> None:
-        """Go through every byte and every message, and hold all against what is said of them.
+        """Read every message, and check all CRCs and counts.
 
         Raises:
-            Exception: something is not as it was written.
+            Exception: something is damaged.
         """
-        for each in self._opened:
-            each.check()
+        for file in self._opened:
+            file.check()
         for _ in self.messages():
             pass
 
 
 def files_of(folder: Path) -> Sequence[Path]:
-    """Return the files in a folder that are of a bag by their names."""
-    ends = (*STORAGES.values(), *(f"{end}.zstd" for end in STORAGES.values()))
-    return [file for file in folder.iterdir() if file.name.endswith(ends) and file.is_file()]
+    """Return the files in a folder whose names are those of a bag's files."""
+    suffixes = (*STORAGES.values(), *(f"{end}.zstd" for end in STORAGES.values()))
+    return [file for file in folder.iterdir() if file.name.endswith(suffixes) and file.is_file()]

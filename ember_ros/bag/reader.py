@@ -1,7 +1,7 @@
-"""Opens a bag, says plainly what is wrong with it, and gives one robot's run tick by tick. Pure.
+"""Opens a bag, checks it, and returns one robot's run tick by tick. Pure.
 
-Bags of ours, of `ros2 bag record` and of any other recorder of the same topics are read alike: what
-belongs to one tick is put together by what the messages say, not by the order they lie in.
+Our own bags, those of `ros2 bag record` and those of any other recorder of the same topics are read
+in the same way: messages are assigned to ticks by their stamps, not by their order in the bag.
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ from leg_node.table import Table
 
 
 class Tick(NamedTuple):
-    """All that a bag holds of one tick; legs in their order."""
+    """The messages of one tick in a bag; legs in their order."""
 
     tick: int
     beat: Beat
     senses: tuple[LegSense | None, ...]
-    """None where a message of a leg's two is not in the bag."""
+    """None where one of a leg's two messages is not in the bag."""
     commands: tuple[LegCommand | None, ...]
     body: BodyState
-    """Where the body was, or was seen last; falls count from the bag's start."""
+    """The body's state, or the last one before; falls are counted from the bag's start."""
     transitions: tuple[Transition | None, ...]
-    """What each leg was paid for the tick before, and for what; None of a leg that does not say."""
+    """Each leg's transition of the tick before; None of a leg that publishes none."""
 
 
 class Damage(NamedTuple):
-    """Senses that are not the ones that were recorded."""
+    """Senses whose CRC-32 is not the recorded one."""
 
     tick: int
     leg: str
     found: int
-    """Their CRC-32."""
+    """CRC-32 of the senses in the bag."""
     recorded: int
     """The CRC-32 that was recorded."""
 
 
 class Raw(NamedTuple):
-    """One message as it lies in the bag."""
+    """One message of the bag, serialized."""
 
     topic: str
     kind: str
@@ -64,10 +64,10 @@ class Raw(NamedTuple):
 
 
 class _Reading:
-    """What one pass through the bag has seen; see ``Bag.ticks``."""
+    """State of one pass through the bag; see ``Bag.ticks``."""
 
     def __init__(self) -> None:
-        self.found: dict[int, tuple[int, ...]] = {}
+        self.computed: dict[int, tuple[int, ...]] = {}  # CRC-32 of each leg's senses, by tick
         self.recorded: dict[int, tuple[int, ...]] = {}
         self.pose: tuple[float, ...] = (0.0,) * 6
 
@@ -81,20 +81,19 @@ class Bag:
         """Open a bag.
 
         Args:
-            path: its folder, one file of it, or the name of the one that comes with the package:
-                ``walk``.
-            namespace: of the robot; needed where the bag holds more than one.
-            params: for a bag without a card, of another recorder; the defaults for None.
+            path: its folder, one file of it, or ``walk`` for the bag that is part of the package.
+            namespace: of the robot; needed if the bag has more than one.
+            params: for a bag of another recorder, without run metadata; the defaults for None.
 
         Raises:
-            BagError: it is missing, cut off, damaged, or of something else.
+            BagError: it is missing, cut off, damaged, or no bag of a robot.
         """
         self.path = shipped_bag(path)
         self._files = _open(self.path)
         self.damages: list[Damage] = []
-        """What the last pass of ``ticks`` found to be changed."""
+        """Damaged senses in the last pass of ``ticks``."""
         self.stale = 0
-        """Messages of ticks that were over, or far ahead of all others, in the last pass."""
+        """Messages in the last pass whose tick was returned before, or far ahead of all others."""
         try:
             self.connections: dict[str, Connection] = {}
             for connection in self._files.connections.values():
@@ -123,21 +122,21 @@ class Bag:
         """Close the files; safe to call twice."""
         self._files.close()
 
-    # -- what is in it -----------------------------------------------------------------------
+    # -- content -----------------------------------------------------------------------------
 
     def _name(self, topic: topics.Topic) -> str:
         return absolute(self.namespace, topic.name)
 
     def robots(self) -> list[str]:
-        """Return the namespaces in which there are legs."""
+        """Return the namespaces that have legs."""
         known = {leg for world in WORLDS for leg in legs_of(world, Params())}
-        found = set()
+        namespaces = set()
         for topic in self.connections:
             prefix, _, end = topic.rpartition("/")
             namespace, _, leg = prefix.rpartition("/")
             if end == "joint_states" and (leg in known or f"{prefix}/contact" in self.connections):
-                found.add(namespace.strip("/"))
-        return sorted(found)
+                namespaces.add(namespace.strip("/"))
+        return sorted(namespaces)
 
     def _choose(self, namespace: str | None) -> str:
         robots = self.robots()
@@ -149,10 +148,10 @@ class Bag:
         if len(robots) > 1:
             raise BagError(f"{self.path} has robots in {named}: choose one with --namespace")
         if not robots:
-            found = ", ".join(sorted(self.connections)) or "none"
+            names = ", ".join(sorted(self.connections)) or "none"
             raise BagError(
                 f"{self.path} has no robot of ember_ros in it; topics like "
-                f"/front_left/joint_states and /cpg/phase would be right, its topics are: {found}"
+                f"/front_left/joint_states and /cpg/phase would be right, its topics are: {names}"
             )
         return robots[0]
 
@@ -163,24 +162,24 @@ class Bag:
             if any(self._name(topics.joint_states(leg)) in self.connections for leg in legs):
                 if not self._other_legs(legs):
                     return world
-                break  # a robot of which these are some, and what the others did would be lost
+                break  # a robot with further legs, whose messages would be ignored
         raise BagError(
             f"{self.path} has legs of other names than {', '.join(self.params.robot.legs)}; the "
             "robot's parameter file, by --params, would be right"
         )
 
     def _other_legs(self, legs: Sequence[str]) -> list[str]:
-        """Return the names of legs in the robot's own namespace that are none of these."""
-        prefix, found = self._name(topics.CLOCK).removesuffix(topics.CLOCK.name), []
+        """Return the names of other legs in the robot's namespace than these."""
+        prefix, others = self._name(topics.CLOCK).removesuffix(topics.CLOCK.name), []
         for topic in self.connections:
             leg, _, what = topic.removeprefix(prefix).rpartition("/")
             own = topic.startswith(prefix) and "/" not in leg and what == "joint_states"
             if own and leg not in legs and self._name(topics.contact(leg)) in self.connections:
-                found.append(leg)
-        return found
+                others.append(leg)
+        return others
 
     def _legs(self) -> tuple[str, ...]:
-        """Return the names of the legs; no code of a world of somebody's own is run for it."""
+        """Return the names of the legs, without importing a user's own world."""
         if self.run_metadata is not None and self.world not in WORLDS:
             return tuple(self.run_metadata.legs)
         return legs_of(self.world, self.params)
@@ -191,19 +190,19 @@ class Bag:
 
     def _check_topics(self) -> None:
         of_run = (topics.CRC, topics.RUN_METADATA, topics.VALUES, topics.VISITS)
-        told = map(topics.transition, self.legs)
-        optional = (topics.CLOCK, topics.ODOMETRY, topics.FALLS, *of_run, *told)
+        transitions = map(topics.transition, self.legs)
+        optional = (topics.CLOCK, topics.ODOMETRY, topics.FALLS, *of_run, *transitions)
         for topic in (*self._needed(), *optional):
             name = self._name(topic)
             connection = self.connections.get(name)
             if connection is None and topic not in optional:
                 raise BagError(
-                    f"{self.path} has no {name} ({topic.kind}); what a run needs is recorded whole "
-                    "with `--bag` or the recorder_node"
+                    f"{self.path} has no {name} ({topic.kind}); `--bag` and the recorder_node "
+                    "record all topics of a run"
                 )
             if connection is None:
                 continue
-            # A topic may have messages of other types too, of somebody else's.
+            # A topic may have messages of other types too.
             kinds = [topic.kind, *([topics.BARE_PHASE.kind] if topic == topics.PHASE else [])]
             keys = [(name, kind) for kind in kinds if (name, kind) in self._files.connections]
             connection = self._files.connections[keys[0]] if keys else connection
@@ -219,17 +218,17 @@ class Bag:
                 )
 
     @functools.cached_property
-    def _telling(self) -> list[str]:
-        """Return which legs say what they were paid, in the layout that is read.
+    def _legs_with_transitions(self) -> list[str]:
+        """Return the legs whose transitions are recorded in the current layout.
 
-        Before, none said what came next: such a bag is read as one of legs that say nothing.
+        Older transitions have no next state: their legs are read as if they published none.
         """
-        first = {leg: self._one(topics.transition(leg)) for leg in self.legs}
+        first = {leg: self._first(topics.transition(leg)) for leg in self.legs}
         return [leg for leg, data in first.items() if data and not wire.is_older_transition(data)]
 
     def _read_run(self) -> tuple[RunMetadata | None, Table | None]:
-        """Return what determined the run, if the bag says so."""
-        text = self._one(topics.RUN_METADATA)
+        """Return the run metadata and the start table, if the bag has them."""
+        text = self._first(topics.RUN_METADATA)
         if text is None:
             return None, None
         where = f"{self.path}: {self._name(topics.RUN_METADATA)}"
@@ -237,15 +236,15 @@ class Bag:
             run_metadata = read_run_metadata(cdr.read_text(text, where), where)
         except SignalError as error:
             raise BagError(str(error)) from error
-        values, visits = self._one(topics.VALUES), self._one(topics.VISITS)
+        values, visits = self._first(topics.VALUES), self._first(topics.VISITS)
         if values is None or visits is None:
             return run_metadata, None
         try:
             (shape, _, learnt), (_, _, counts) = (
                 cdr.read_array(data, code, where) for data, code in ((values, "d"), (visits, "q"))
             )
-            # Of the size that is said, and not of what the card's parts would make: these may be
-            # missing here, and whoever only looks into a bag runs no code that it names.
+            # The message gives the size. The parts that the metadata names are not imported: they
+            # may be missing here, and reading a bag must not run code that it names.
             table = Table(*shape)
             table.values[:] = np.frombuffer(learnt, "<f8")
             table.visits[:] = np.frombuffer(counts, "<i8")
@@ -259,51 +258,51 @@ class Bag:
             )
         return run_metadata, table
 
-    def _one(self, topic: topics.Topic) -> bytes | None:
+    def _first(self, topic: topics.Topic) -> bytes | None:
         """Return the first message of a topic."""
         with reading(self.path):
-            found = self._files.messages([(self._name(topic), topic.kind)])
-            return next((message.data for message in found), None)
+            messages = self._files.messages([(self._name(topic), topic.kind)])
+            return next((message.data for message in messages), None)
 
     @property
     def table_sha256(self) -> str | None:
         """Return the SHA-256 of the table at the end of the run, if it is known."""
         if not self.path.is_dir():
             return None
-        known = read_metadata(self.path).get("custom_data") or {}
-        return known.get("table_sha256") if isinstance(known, dict) else None
+        custom = read_metadata(self.path).get("custom_data") or {}
+        return custom.get("table_sha256") if isinstance(custom, dict) else None
 
     @property
     def stage(self) -> str:
-        """Return which learning numbers the legs had: as the card says, or as the world wants."""
-        for told in self.run_metadata.legs.values() if self.run_metadata else ():
-            return told.stage
+        """Return whose learning parameters the legs had: by the run metadata, or by the world."""
+        for leg in self.run_metadata.legs.values() if self.run_metadata else ():
+            return leg.stage
         return stage_of(self.world) if self.world in WORLDS else "walk"
 
     @property
     def reward_terms(self) -> tuple[str, ...]:
-        """Return the names of the terms of the legs' reward; none where no leg says them."""
-        for leg in self._telling:
-            data = self._one(topics.transition(leg))
+        """Return the names of the reward's terms; none without transitions."""
+        for leg in self._legs_with_transitions:
+            data = self._first(topics.transition(leg))
             assert data is not None
-            did = wire.TransitionWire(leg, self.params.gait.tick_ns).read(data)
-            return tuple(name for name, _ in did.terms)
+            transition = wire.TransitionWire(leg, self.params.gait.tick_ns).read(data)
+            return tuple(name for name, _ in transition.terms)
         return ()
 
     def messages(self, topic: topics.Topic) -> int:
-        """Return how many messages of one of the robot's topics are in the bag."""
+        """Return the number of messages of one of the robot's topics."""
         connection = self.connections.get(self._name(topic))
         return 0 if connection is None else int(connection.msgcount)
 
     def phases(self) -> int:
-        """Return how many phases are in the bag: it has no more ticks than these."""
+        """Return the number of phases: the bag has no more ticks."""
         return self.messages(topics.PHASE)
 
     def raw(self, start_ns: int = 0) -> Iterator[Raw]:
         """Yield all messages of all topics from a time on, in the order of their times.
 
         Args:
-            start_ns: time to leave out, from the first message on.
+            start_ns: time to skip, from the first message on.
         """
         start = self.start_ns + start_ns if start_ns else None
         with reading(self.path):
@@ -318,32 +317,35 @@ class Bag:
 
     @property
     def files(self) -> list[Path]:
-        """Return the files that the bag is made of."""
+        """Return the files of the bag."""
         return self._files.paths
 
     # -- tick by tick ------------------------------------------------------------------------
 
     def ticks(self) -> Iterator[Tick]:
-        """Yield the robot's ticks in order; a tick without its phase is left out.
+        """Yield the robot's ticks in order; a tick without a phase is skipped.
 
         Raises:
-            BagError: a message is damaged, or time begins anew.
+            BagError: a message is damaged, or the bag holds two runs.
         """
         self.damages, self.stale = [], 0
-        seen = _Reading()
-        readers = self._readers(seen)
+        reading = _Reading()
+        readers = self._readers(reading)
         clocked = self._name(topics.CLOCK) in self.connections
         beat = self._name(topics.CLOCK if clocked else topics.PHASE)
         parts = [self._name(topic) for topic in self._needed()]
-        also = [self._name(t) for t in (topics.ODOMETRY, *map(topics.transition, self._telling))]
-        parts += [name for name in also if name in self.connections]
+        optional = [
+            self._name(t)
+            for t in (topics.ODOMETRY, *map(topics.transition, self._legs_with_transitions))
+        ]
+        parts += [name for name in optional if name in self.connections]
         window, falls, newest, back = Window(parts), 0, -1, False
         phase = self._name(topics.PHASE)
         for topic, _, data in self._messages([*readers, beat]):
             if topic == beat:
-                for tick, found in window.pop_complete():
-                    falls += self._fell(found)
-                    yield from self._tick(tick, found, falls, seen)
+                for tick, messages in window.pop_complete():
+                    falls += self._has_fall(messages)
+                    yield from self._tick(tick, messages, falls, reading)
             reader = readers.get(topic)
             if reader is None:
                 continue
@@ -356,16 +358,16 @@ class Bag:
             if tick >= 0 and not window.put(tick, topic, (data, value)):
                 self.stale += 1
             if topic == phase:
-                if tick < newest and back:  # one alone may be wrong
+                if tick < newest and back:  # a single one may be wrong
                     raise BagError(
-                        f"{self.path}: after tick {newest}, {topic} begins anew at tick "
+                        f"{self.path}: after tick {newest}, {topic} begins again at tick "
                         f"{tick}: there are two runs in this bag"
                     )
                 back = tick < newest
                 newest = max(newest, min(tick, window.newest))
-        for tick, found in window.pop_rest():
-            falls += self._fell(found)
-            yield from self._tick(tick, found, falls, seen)
+        for tick, messages in window.pop_rest():
+            falls += self._has_fall(messages)
+            yield from self._tick(tick, messages, falls, reading)
         self.stale += window.displaced
 
     def _messages(self, names: list[str]) -> Iterator[tuple[str, int, bytes]]:
@@ -374,8 +376,8 @@ class Bag:
             for ns, topic, _, data in self._files.messages(keys):
                 yield topic, ns, data
 
-    def _readers(self, seen: _Reading) -> dict[str, Callable[[bytes], tuple[int, Any]]]:
-        """Return how each topic's messages are read: into a tick, or -1, and a value."""
+    def _readers(self, reading: _Reading) -> dict[str, Callable[[bytes], tuple[int, Any]]]:
+        """Return each topic's reader, which returns a tick, or -1, and a value."""
         gait = self.params.gait
         tick_ns = gait.tick_ns
         phase, odometry = self._name(topics.PHASE), self._name(topics.ODOMETRY)
@@ -403,10 +405,10 @@ class Bag:
             low, high = np.frombuffer(before, "<u4").tolist()
             rows = np.frombuffer(numbers, "<u4").reshape(count, legs).tolist()
             for tick, row in enumerate(rows, low + (high << 32)):
-                seen.recorded[tick] = tuple(row)
-                self._check(tick, seen)
-            while len(seen.recorded) > 4 * LATE:  # of ticks that are not in the bag
-                del seen.recorded[next(iter(seen.recorded))]
+                reading.recorded[tick] = tuple(row)
+                self._check(tick, reading)
+            while len(reading.recorded) > 4 * LATE:  # of ticks that are not in the bag
+                del reading.recorded[next(iter(reading.recorded))]
             return -1, None
 
         readers: dict[str, Callable[[bytes], tuple[int, Any]]] = {
@@ -430,70 +432,72 @@ class Bag:
             def read_transition(
                 data: bytes, transitions: wire.TransitionWire = transitions
             ) -> tuple[int, Transition]:
-                did = transitions.read(data)
-                return did.tick, did
+                transition = transitions.read(data)
+                return transition.tick, transition
 
             readers[self._name(topics.command(leg))] = read_command
-            if leg in self._telling:
+            if leg in self._legs_with_transitions:
                 readers[self._name(topics.transition(leg))] = read_transition
         return readers
 
-    def _fell(self, found: dict[str, Any]) -> bool:
-        """Return whether the robot was put back on its feet at a tick."""
+    def _has_fall(self, messages: dict[str, Any]) -> bool:
+        """Return whether the robot was reset at a tick, after a fall."""
         for leg in self.legs:
-            part = found.get(self._name(topics.contact(leg)))
+            part = messages.get(self._name(topics.contact(leg)))
             if part is not None:
                 return bool(part[1].first[wire.CONTACT.index("restart")])
         return False
 
-    def _tick(self, tick: int, found: dict[str, Any], falls: int, seen: _Reading) -> Iterator[Tick]:
-        """Yield the tick that the parts make up, if its phase is there."""
+    def _tick(
+        self, tick: int, messages: dict[str, Any], falls: int, reading: _Reading
+    ) -> Iterator[Tick]:
+        """Yield the tick of these messages, if it has a phase."""
         senses: list[LegSense | None] = []
         commands: list[LegCommand | None] = []
         transitions: list[Transition | None] = []
         crcs = []
         for leg in self.legs:
-            joints = found.get(self._name(topics.joint_states(leg)), (None, None))
-            contact = found.get(self._name(topics.contact(leg)), (None, None))
-            command = found.get(self._name(topics.command(leg)), (None, None))
+            joints = messages.get(self._name(topics.joint_states(leg)), (None, None))
+            contact = messages.get(self._name(topics.contact(leg)), (None, None))
+            command = messages.get(self._name(topics.command(leg)), (None, None))
             both = joints[1] is not None and contact[1] is not None
             senses.append(wire.SenseWire.sense(tick, joints[1], contact[1]) if both else None)
             commands.append(command[1])
-            did = found.get(self._name(topics.transition(leg)), (None, None))
-            transitions.append(did[1])
+            transition = messages.get(self._name(topics.transition(leg)), (None, None))
+            transitions.append(transition[1])
             crcs.append(crc_of(joints[0], contact[0]))
-        seen.found[tick] = tuple(crcs)
-        self._check(tick, seen)
-        if len(seen.found) > 4 * LATE:  # never checked: a bag without, or of a run cut off
-            del seen.found[next(iter(seen.found))]
-        beat = found.get(self._name(topics.PHASE))
+        reading.computed[tick] = tuple(crcs)
+        self._check(tick, reading)
+        if len(reading.computed) > 4 * LATE:  # never checked: the bag has no CRCs, or is cut off
+            del reading.computed[next(iter(reading.computed))]
+        beat = messages.get(self._name(topics.PHASE))
         if beat is not None:
-            seen.pose = found.get(self._name(topics.ODOMETRY), (None, seen.pose))[1]
-            body = BodyState._make((*seen.pose, falls))
+            reading.pose = messages.get(self._name(topics.ODOMETRY), (None, reading.pose))[1]
+            body = BodyState._make((*reading.pose, falls))
             yield Tick(tick, beat[1], tuple(senses), tuple(commands), body, tuple(transitions))
 
-    def _check(self, tick: int, seen: _Reading) -> None:
-        """Hold a tick's senses against their recorded CRCs once both are there."""
-        if tick not in seen.found or tick not in seen.recorded:
+    def _check(self, tick: int, reading: _Reading) -> None:
+        """Compare the CRCs of a tick's senses with the recorded ones once both are there."""
+        if tick not in reading.computed or tick not in reading.recorded:
             return
-        for leg, found, recorded in zip(
-            self.legs, seen.found.pop(tick), seen.recorded.pop(tick), strict=True
+        for leg, computed, recorded in zip(
+            self.legs, reading.computed.pop(tick), reading.recorded.pop(tick), strict=True
         ):
-            if found != recorded:
-                self.damages.append(Damage(tick, leg, found, recorded))
+            if computed != recorded:
+                self.damages.append(Damage(tick, leg, computed, recorded))
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn whatever a damaged file makes its reader raise into a BagError."""
+    """Raise a BagError for any error that a damaged file causes."""
     try:
         yield
     except (EmberError, GeneratorExit, KeyboardInterrupt):
         raise
-    except Exception as error:  # zstd, struct, yaml and sqlite raise nearly anything
+    except Exception as error:  # zstd, struct, yaml and sqlite raise many kinds
         why = " ".join(str(error).split()) or type(error).__name__
         raise BagError(
-            f"{path} is damaged: {why}; `ember bag repair {path}` keeps what is whole"
+            f"{path} is damaged: {why}; `ember bag repair {path}` keeps what is intact"
         ) from error
 
 
@@ -501,7 +505,7 @@ def _open(path: Path) -> Files:
     """Return the open files of a bag.
 
     Raises:
-        BagError: there is no bag that could be read; the message says why.
+        BagError: there is no bag that can be read; the message says why.
     """
     if not path.exists():
         raise BagError(f"there is no bag {path}; `ember walk --bag {path}` would make one")
@@ -510,7 +514,7 @@ def _open(path: Path) -> Files:
             if files_of(path):
                 raise BagError(
                     f"{path} has no {METADATA}: its recording was cut off; `ember bag repair "
-                    f"{path}` brings it back"
+                    f"{path}` restores it"
                 )
             raise BagError(f"{path} is no bag: a folder with {METADATA} would be right")
     elif path.suffix not in STORAGES.values():

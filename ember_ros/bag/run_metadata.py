@@ -1,4 +1,4 @@
-"""What determined a run, in one message: enough to run it again. Pure."""
+"""What determined a run, in one message (topic ``run/card``): enough to run it again. Pure."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from leg_node.table import Table
 
 T = TypeVar("T")
 MAX_CHARACTERS = 1 << 20
-"""Of a card: a hundred times what one has."""
+"""Of the JSON text: a hundred times the usual number."""
 FORMAT = 1
-"""Of the card; a reader knows its own and all before."""
+"""Of the JSON text; a version reads its own format and all earlier ones."""
 NEUTRAL: Mapping[str, Value] = {
     "reward.lead": 0,
     "train.alpha_ceiling": 1.0,
     "walk.alpha_ceiling": 1.0,
 }
-"""Of parameters that came later: the value that gives what was done before they were there.
+"""For parameters that older versions do not have: the value that gives the older behaviour.
 
-Read for the cards of older versions only. Of a parameter that is not here that is its default, so
-who adds one with another default adds it here too.
+It is used only to read the metadata of older versions. A parameter that is not here has its default
+there: a new one whose default changes the behaviour must be added here.
 """
 
 
 class LegMetadata(NamedTuple):
-    """What one leg was told."""
+    """The configuration of one leg."""
 
     stage: str
     seed: int
@@ -54,95 +54,97 @@ class LegMetadata(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class RunMetadata:
-    """Everything that determined a run but the senses themselves and the table at its start."""
+    """Everything that determined a run except the senses and the values of the start table."""
 
     world: str
     legs: Mapping[str, LegMetadata]
-    """What each leg was told, by its name and in order; a leg of others' making is not here."""
+    """Of each leg, by name and in order; legs that are not of this package are missing."""
     params: Params
     start_table_sha256: str | None
-    """Of the table at the start; None where nobody knew it."""
+    """Of the table at the start; None if it is unknown."""
     first_tick: int
-    """The first tick in the bag: another than 0 has no beginning to be replayed from."""
+    """The first tick in the bag: from another than 0 the run cannot be replayed."""
     versions: Mapping[str, str]
     filled: Mapping[str, Value] = dataclasses.field(default_factory=dict)
-    """Parameters that the run's version did not have yet, and the values that stand for that."""
+    """Parameters that the run's version did not have, with the values that replace them."""
     gone: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """What the run had and this version has not: parameters that are gone, or values of them."""
+    """Parameters or values of the run that this version does not have."""
     stored_sha256: str | None = dataclasses.field(default=None, compare=False)
-    """Of the parameters as they were stored; None of a card that was never stored."""
+    """Of the parameters as they were stored; None if they were not read from a bag."""
 
     @classmethod
     def of_config(cls, config: RunConfig, table: Table, versions: Mapping[str, str]) -> RunMetadata:
-        """Return the card of a plan that starts from ``table``."""
-        told = LegMetadata(
+        """Return the metadata of a config that starts from ``table``."""
+        leg = LegMetadata(
             config.stage, config.seed, config.policy, config.learning, True, config.start_cycle
         )
-        legs = dict.fromkeys(config.legs, told)
+        legs = dict.fromkeys(config.legs, leg)
         return cls(config.world, legs, config.params, table.sha256(), 0, dict(versions))
 
     def config(self, cycles: int, table: Path | None) -> RunConfig:
-        """Return the plan that this run had.
+        """Return the config that this run had.
 
         Args:
-            cycles: of it.
-            table: where the table at its start lies now.
+            cycles: to run.
+            table: the file of the start table.
 
         Raises:
-            BagError: the run had no plan that can be followed again; the message says why.
+            BagError: the run cannot be replayed; the message says why.
         """
-        cannot = "this run cannot be replayed: "
+        prefix = "this run cannot be replayed: "
         if self.first_tick:
             raise BagError(
-                f"{cannot}it was recorded from tick {self.first_tick} on, and what the legs knew "
-                "by then is in no message; start the recorder before the world"
+                f"{prefix}it was recorded from tick {self.first_tick} on, and what the legs had "
+                "learnt before is not in the bag; start the recorder before the world"
             )
         if self.start_table_sha256 is None:
-            raise BagError(f"{cannot}the table at its start was not asked for in time")
+            raise BagError(f"{prefix}the table at its start was not requested in time")
         if self.gone:
             raise BagError(
-                f"{cannot}this version does not know what {', '.join(self._gone())} did; `ember "
+                f"{prefix}this version does not know what {', '.join(self._gone())} did; `ember "
                 "bag info`, `csv`, `play` and `relearn` work with it"
             )
         missing = [leg for leg in legs_of(self.world, self.params) if leg not in self.legs]
         if missing:
-            raise BagError(f"{cannot}nothing is known of {', '.join(missing)}: not legs of ours")
-        told = set(self.legs.values())
-        if len(told) > 1 or not all(each.shared for each in told):
             raise BagError(
-                f"{cannot}its legs were told different things or shared no table: "
-                f"{ {leg: each._asdict() for leg, each in self.legs.items()} }"
+                f"{prefix}it has no metadata of {', '.join(missing)}: not leg nodes of ember_ros"
             )
-        (each,) = told
-        if each.stage != stage_of(self.world):
+        kinds = set(self.legs.values())
+        if len(kinds) > 1 or not all(leg.shared for leg in kinds):
             raise BagError(
-                f"{cannot}its legs had the learning numbers of stage {each.stage!r}, which is not "
+                f"{prefix}its legs had different configurations or shared no table: "
+                f"{ {name: leg._asdict() for name, leg in self.legs.items()} }"
+            )
+        (leg,) = kinds
+        if leg.stage != stage_of(self.world):
+            raise BagError(
+                f"{prefix}its legs had the learning numbers of stage {leg.stage!r}, which is not "
                 f"that of the {self.world}; `ember relearn` works with it"
             )
         return RunConfig(
             self.world,
             cycles,
-            seed=each.seed,
+            seed=leg.seed,
             params=self.params,
-            policy=each.policy,
-            learning=each.learning,
+            policy=leg.policy,
+            learning=leg.learning,
             table=table,
-            start_cycle=each.start_cycle,
+            start_cycle=leg.start_cycle,
         )
 
     def _gone(self) -> list[str]:
         return [f"{name} = {value!r}" for name, value in self.gone.items()]
 
     def without_table(self) -> RunMetadata:
-        """Return the card of a run of which nobody knows what table it started from."""
+        """Return the metadata with an unknown start table."""
         return dataclasses.replace(self, start_table_sha256=None)
 
     def to_json(self) -> str:
-        """Return the card as JSON."""
+        """Return the metadata as JSON."""
         content = {
             "format": FORMAT,
             "world": self.world,
-            "legs": {leg: told._asdict() for leg, told in self.legs.items()},
+            "legs": {name: leg._asdict() for name, leg in self.legs.items()},
             "params": as_dict(self.params),
             "params_sha256": params_sha256(self.params),
             "start_table_sha256": self.start_table_sha256,
@@ -153,31 +155,31 @@ class RunMetadata:
 
 
 def read_run_metadata(text: str, where: str) -> RunMetadata:
-    """Return the card in a JSON text.
+    """Return the metadata in a JSON text.
 
     Raises:
-        BagError: it is none, or of a later format than this version knows.
+        BagError: it is not valid, or has a later format than this version reads.
     """
     try:
         content = read_json(text, MAX_CHARACTERS)
-        found = content["format"]
+        version = content["format"]
     except (ValueError, KeyError, TypeError) as error:
         raise BagError(f"{where} is no card of a run: {error!r}") from error
-    if found != FORMAT:
+    if version != FORMAT:
         raise BagError(
-            f"{where} is of format {shown(found)}, and this version knows {FORMAT}; a newer "
+            f"{where} is of format {shown(version)}, and this version reads {FORMAT}; a newer "
             "ember_ros reads it"
         )
     try:
         stored = digest(content["params"])
-        params, filled, gone = _params(_as_now(content["params"]))
+        params, filled, gone = _params(_with_current_names(content["params"]))
         run_metadata = RunMetadata(
             world=_world(content["world"]),
-            legs={leg: _leg(told) for leg, told in content["legs"].items()},
+            legs={name: _leg(leg) for name, leg in content["legs"].items()},
             params=params,
             start_table_sha256=_text(content["start_table_sha256"]),
             first_tick=_of(int, content["first_tick"]),
-            versions={name: _of(str, each) for name, each in content["versions"].items()},
+            versions={name: _of(str, text) for name, text in content["versions"].items()},
             filled=filled,
             gone=gone,
             stored_sha256=stored,
@@ -192,10 +194,10 @@ def read_run_metadata(text: str, where: str) -> RunMetadata:
 
 
 def _params(stored: Mapping[str, Any]) -> tuple[Params, dict[str, Value], dict[str, Any]]:
-    """Return the parameters of a card, what had to be filled in, and what is gone.
+    """Return stored parameters, those that had to be added, and those that no longer exist.
 
     Raises:
-        ParameterError: the gait or the leg cannot be held, without which no message is understood.
+        ParameterError: a value of gait or leg is invalid, without which no message can be read.
     """
     known: dict[str, Value] = {}
     gone: dict[str, Any] = {}
@@ -214,41 +216,41 @@ def _params(stored: Mapping[str, Any]) -> tuple[Params, dict[str, Value], dict[s
     return replace(Params(), {**known, **filled}), filled, gone
 
 
-def _as_now(stored: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return parameters as they are called now.
+def _with_current_names(stored: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return stored parameters with their current names.
 
-    The phase offsets were numbers of the gait, one a leg, before the robot was described by lists.
+    Before the robot was described by lists, the gait had one phase offset per leg.
     """
     gait = dict(stored["gait"])
     legs = SPECS["robot.legs"].default
     assert isinstance(legs, tuple)
     offsets = [gait.pop(f"offset_{leg}", None) for leg in legs]
-    gait.pop("offset_leg", None)  # of the trainer's leg, where it means nothing
+    gait.pop("offset_leg", None)  # of the trainer's leg, where it has no effect
     if None in offsets:
         return stored
     return {**stored, "gait": gait, "robot": {"offset": offsets}}
 
 
 def _world(value: Any) -> str:
-    """Return a world; whether one of somebody's own can be imported here is seen at a replay."""
+    """Return the name of a world; a user's own is imported only at a replay."""
     if "." not in _of(str, value):
         spec_of(value)
     return str(value)
 
 
-def _leg(told: Mapping[str, Any]) -> LegMetadata:
+def _leg(stored: Mapping[str, Any]) -> LegMetadata:
     return LegMetadata(
-        _one_of(told["stage"], ("train", "walk")),
-        _of(int, told["seed"]),
-        _of(str, told["policy"]),
-        _of(bool, told["learning"]),
-        _of(bool, told["shared"]),
-        _of(int, told.get("start_cycle", 0)),  # before it could be told, it was 0
+        _one_of(stored["stage"], ("train", "walk")),
+        _of(int, stored["seed"]),
+        _of(str, stored["policy"]),
+        _of(bool, stored["learning"]),
+        _of(bool, stored["shared"]),
+        _of(int, stored.get("start_cycle", 0)),  # 0 in older versions, which had no such key
     )
 
 
 def _of(kind: type[T], value: Any) -> T:
-    """Return a value that is of a kind, and not something that could be made into it."""
+    """Return a value of exactly this type; no value is converted."""
     if type(value) is not kind:
         raise TypeError(f"{shown(value)} is no {kind.__name__}")
     return value

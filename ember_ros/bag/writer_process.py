@@ -1,7 +1,7 @@
-"""A process of its own that writes a bag, so that neither the disk nor the format costs a tick.
+"""Writes a bag in a process of its own, so that no tick waits for the disk or the format.
 
-It is used as a ``McapWriter`` is, and uses one. What was flushed is in its hands: it outlives
-whoever recorded, and closes the bag when that ends, in whatever way. Pure.
+It has the interface of ``McapWriter``, and uses one. The process receives every flushed message,
+outlives the recorder, and closes the bag when the recorder ends, however it ends. Pure.
 
     python -m ember_ros.bag.writer_process '["DIR", 0.0, 0.0]' < records
 """
@@ -26,21 +26,21 @@ from ember_ros.errors import BagError, need
 from ember_ros.versions import provenance
 
 _RECORD = struct.Struct("<BHqI")
-"""What it is, the channel, the time in ns, and how many bytes follow."""
+"""Kind, channel, time in ns, and how many bytes follow."""
 _CHANNEL, _MESSAGE, _FLUSH, _CLOSE = range(4)
 _MAX_BYTES = 1 << 20
-"""Handed over at the latest, flush or no flush: bounds the memory."""
+"""Of records that are sent without a flush: this bounds the memory."""
 _PIPE_BYTES = 1 << 20
-"""What lies between the two processes: so much that a flush does not wait for the other one."""
+"""Of the pipe between the two processes: so many that a flush does not wait."""
 CLOSE_S = 60.0
-"""Wall time the process has to write what it was given last."""
+"""Wall time in which the process must write the last messages."""
 
 
 class BagWriter(Protocol):
-    """What messages are written to: a ``McapWriter``, or a ``WriterProcess`` that has one."""
+    """What writes messages: a ``McapWriter``, or a ``WriterProcess`` that has one."""
 
     def channel(self, topic: str, kind: str) -> int:
-        """Return the number under which messages of a topic are written."""
+        """Return the channel of a topic."""
         ...
 
     def write(self, channel: int, ns: int, data: bytes) -> None:
@@ -48,44 +48,44 @@ class BagWriter(Protocol):
         ...
 
     def flush(self) -> None:
-        """Bring everything where it outlives this process."""
+        """Send or write all messages, so that they outlive this process."""
         ...
 
     def close(self, custom: Mapping[str, str] | None = None) -> None:
-        """End the bag well."""
+        """Close the bag."""
         ...
 
 
 class WriterProcess:
-    """Hands messages to a process that writes them."""
+    """Sends messages to a process that writes them."""
 
     def __init__(self, options: BagOptions) -> None:
-        """Make the bag's folder, which must not be there yet, and start the process.
+        """Make the bag's folder, which must not exist yet, and start the process.
 
         Raises:
-            BagError: the folder is there already or cannot be made.
+            BagError: the folder exists already or cannot be made.
             MissingError: a library that bags need is not installed.
         """
-        need("rosbags", "mcap", why="for bags")  # the process would die of it unheard
+        need("rosbags", "mcap", why="for bags")  # else the process would fail later
         self.folder = options.folder
         self._channels: dict[tuple[str, str], int] = {}
         self._records = bytearray()
         make_folder(options.folder)
-        self._said: Any = tempfile.TemporaryFile()  # noqa: SIM115  what it says when it fails
-        # A session of its own: Ctrl-C is for who records; this ends when there is no more to read.
+        self._stderr: Any = tempfile.TemporaryFile()  # noqa: SIM115  closed with the process
+        # A session of its own: Ctrl-C goes to the recorder; this process ends with its input.
         self._process = subprocess.Popen(
             [*module_command(__name__), json.dumps([str(options.folder.resolve()), *options[1:]])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._said,
+            stderr=self._stderr,
             start_new_session=True,
         )
-        with contextlib.suppress(OSError):  # a system may grant less; then a flush may wait
+        with contextlib.suppress(OSError):  # a system may allow less; then a flush may wait
             fcntl.fcntl(self._process.stdin, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)  # type: ignore[arg-type]
         self._open, self._ready = True, False
 
     def channel(self, topic: str, kind: str) -> int:
-        """Return the number under which messages of a topic are written.
+        """Return the channel of a topic.
 
         Args:
             topic: its absolute name.
@@ -101,33 +101,35 @@ class WriterProcess:
         """Write a message.
 
         Raises:
-            BagError: the process has ended: the disk is full, or the like.
+            BagError: the process has ended, for example because the disk is full.
         """
         records = self._records
         records += _RECORD.pack(_MESSAGE, channel, ns, len(data))
         records += data
         if len(records) > _MAX_BYTES:
-            self._hand_over()
+            self._send()
 
-    def _put(self, what: int, channel: int, data: bytes) -> None:
-        self._records += _RECORD.pack(what, channel, 0, len(data))
+    def _put(self, kind: int, channel: int, data: bytes) -> None:
+        self._records += _RECORD.pack(kind, channel, 0, len(data))
         self._records += data
 
     def flush(self) -> None:
-        """Hand everything over, to be brought to the disk as one whole.
+        """Send all messages, which the process writes to the disk as one chunk.
 
         Raises:
-            BagError: the process has ended: the disk is full, or the like.
+            BagError: the process has ended, for example because the disk is full.
         """
         self._put(_FLUSH, 0, b"")
-        self._hand_over()
+        self._send()
 
-    def _hand_over(self) -> None:
+    def _send(self) -> None:
         if not self._open:
             raise BagError(f"the bag {self.folder} is closed")
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        if not self._ready:  # begun with: a tick later on must not wait for a Python to start
+        if (
+            not self._ready
+        ):  # wait at the first flush: later ticks must not wait for Python to start
             self._ready = bool(self._process.stdout.readline())
         try:
             self._process.stdin.write(self._records)
@@ -137,28 +139,28 @@ class WriterProcess:
         self._records.clear()
 
     def close(self, custom: Mapping[str, str] | None = None) -> None:
-        """End the bag well; closing twice is once.
+        """Close the bag; safe to call twice.
 
         Args:
-            custom: what ``metadata.yaml`` says under ``custom_data``.
+            custom: ``custom_data`` of ``metadata.yaml``.
 
         Raises:
-            BagError: it was not ended well: the disk is full, or the like.
+            BagError: it could not be closed, for example because the disk is full.
         """
         if not self._open:
             return
         self._put(_CLOSE, 0, json.dumps(dict(custom or {})).encode())
-        self._hand_over()
+        self._send()
         self._end()
         if self._process.returncode:
             self._failed()
-        self._said.close()
+        self._stderr.close()
 
     def abandon(self) -> None:
-        """Let go: the process ends the bag with what it was given."""
+        """Stop sending: the process closes the bag with what it has received."""
         if self._open:
             self._end()
-            self._said.close()
+            self._stderr.close()
 
     def _end(self) -> None:
         self._open = False
@@ -174,48 +176,47 @@ class WriterProcess:
             self._process.wait()
 
     def _failed(self) -> NoReturn:
-        """Say what the process said last."""
+        """Raise a BagError with the process's last message."""
         if self._open:
             self._end()
-        self._said.seek(0)
-        said = self._said.read().decode(errors="replace").strip()
-        self._said.close()
+        self._stderr.seek(0)
+        message = self._stderr.read().decode(errors="replace").strip()
+        self._stderr.close()
         raise BagError(
-            said
-            or f"what writes {self.folder} was killed; `ember bag repair {self.folder}` "
-            "brings back what is in it"
+            message
+            or f"the process that writes {self.folder} was killed; `ember bag repair "
+            f"{self.folder}` restores what is in it"
         )
 
 
 def _write(records: BinaryIO, writer: McapWriter) -> None:
-    """Write records until there are no more.
+    """Write records until the input ends.
 
-    Where and when it was goes into ``metadata.yaml``, so that the files of the same run are the
-    same.
+    The provenance goes into ``metadata.yaml`` only, so that the same run makes the same MCAP files.
     """
-    where = provenance()
+    custom = provenance()
     channels: dict[int, int] = {}
     while len(head := records.read(_RECORD.size)) == _RECORD.size:
-        what, channel, ns, length = _RECORD.unpack(head)
+        kind, channel, ns, length = _RECORD.unpack(head)
         data = records.read(length)
         if len(data) < length:
-            break  # who recorded was killed in the middle of it
-        if what == _MESSAGE:
+            break  # the recorder was killed while sending it
+        if kind == _MESSAGE:
             writer.write(channels[channel], ns, data)
-        elif what == _FLUSH:
+        elif kind == _FLUSH:
             writer.flush()
-        elif what == _CHANNEL:
+        elif kind == _CHANNEL:
             channels[channel] = writer.channel(*json.loads(data))
         else:
-            writer.close({**where, **json.loads(data)})
-    writer.close(where)  # does nothing after a close
+            writer.close({**custom, **json.loads(data)})
+    writer.close(custom)  # does nothing after a close
 
 
 def main() -> int:
-    """Write what comes on standard input; return 2, and say why, if it cannot be written."""
-    folder, *how = json.loads(sys.argv[1])
+    """Write the records of standard input; print the error and return 2 if that fails."""
+    folder, *splits = json.loads(sys.argv[1])
     try:
-        writer = McapWriter(BagOptions(Path(folder), *how), made=True)
+        writer = McapWriter(BagOptions(Path(folder), *splits), made=True)
         print("ready", flush=True)
         with os.fdopen(sys.stdin.fileno(), "rb", 1 << 20, closefd=False) as records:
             _write(records, writer)

@@ -142,8 +142,8 @@ def relearn(
                 changed = [damage for damage in bag.damages if damage[:2] not in incomplete]
                 for damage in changed[:1]:
                     raise BagError(
-                        f"{path}: tick {damage.tick}, {damage.leg}: senses are not those that "
-                        "were recorded"
+                        f"{path}: tick {damage.tick}, {damage.leg}: the senses are not the "
+                        "recorded ones"
                     )
                 for leg in legs:
                     flush(shared, leg, last)

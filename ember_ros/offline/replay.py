@@ -244,7 +244,7 @@ def conclusion_of(parts: Mapping[str, bool | None], *, whole: bool = True) -> st
         conclusion = ". The bag was changed after it was recorded"
     elif parts["table"]:
         conclusion = (
-            ". The learned table is equal: the record was changed, or the legs did not learn"
+            ". The learned table is equal: the record was modified, or the legs did not learn"
         )
     elif parts["commands"] is False:
         conclusion = ". The legs choose other actions: another version, or another policy"
