@@ -104,7 +104,7 @@ def joint_names(data: Bytes, where: str) -> Iterator[str]:
         raise SignalError(f"{where}: {len(content)} bytes are no plain JointState") from error
 
 
-# -- whole messages ------------------------------------------------------------------------
+# -- complete messages -----------------------------------------------------------------------
 
 
 def pack_clock(ns: int) -> bytes:

@@ -58,7 +58,7 @@ def tick_of(ns: int, tick_ns: int, where: str) -> int:
     return tick
 
 
-# -- the phase of older bags ------------------------------------------------------------------
+# -- the phase of older bags -----------------------------------------------------------------
 
 _BARE_PHASE = struct.Struct("<4sd")
 

@@ -565,7 +565,7 @@ def test_a_card_of_another_format_is_not_guessed_at(format: Any) -> None:
         read_run_metadata(text, "the bag: /run/card")
     assert "the bag: /run/card" in str(refused.value)
     assert repr(format) in str(refused.value)
-    assert f"knows {FORMAT}" in str(refused.value)
+    assert f"reads {FORMAT}" in str(refused.value)
 
 
 @given(length=st.integers(0, len(WHOLE.to_json()) - 1))
@@ -626,7 +626,7 @@ def test_a_leg_on_a_card_without_a_key_is_not_whole(key: str) -> None:
 def test_a_card_with_a_value_of_another_kind_is_not_whole(key: str, value: Any) -> None:
     """Whoever reads a card can rely on the types of what it says."""
     text = json.dumps({**json.loads(WHOLE.to_json()), key: value})
-    with pytest.raises(BagError, match="no whole card"):
+    with pytest.raises(BagError, match="no complete card"):
         read_run_metadata(text, "here")
 
 

@@ -875,5 +875,5 @@ def test_a_verdict_names_each_part_once(
     assert ("was changed" in said) is (not senses)
     altered = senses and table and False in (commands, rewards)
     assert ("was modified" in said) is bool(altered)
-    assert ("so far" in conclusion_of(parts, whole=False)) is ("bit for bit" in said)
-    assert "bit for bit" not in conclusion_of(parts, whole=False)
+    assert ("so far" in conclusion_of(parts, complete=False)) is ("bit for bit" in said)
+    assert "bit for bit" not in conclusion_of(parts, complete=False)

@@ -187,7 +187,7 @@ def read_run_metadata(text: str, where: str) -> RunMetadata:
     except (
         KeyError, TypeError, ValueError, OverflowError, AttributeError, ParameterError
     ) as error:  # fmt: skip
-        raise BagError(f"{where} is no whole card of a run: {error!r}") from error
+        raise BagError(f"{where} is no complete card of a run: {error!r}") from error
     if content.get("params_sha256") != stored:
         raise BagError(f"{where} is damaged: its parameters do not have the SHA-256 it names")
     return run_metadata

@@ -81,7 +81,7 @@ def replay_command(
         console.print(f"First difference: {done.difference}.")
     if done.transition_difference is not None:
         console.print(f"First difference in a transition: {done.transition_difference}.")
-    console.print(replay.conclusion_of(done.parts, whole=not (done.stopped or done.missing)))
+    console.print(replay.conclusion_of(done.parts, complete=not (done.stopped or done.missing)))
     if not done.equal:
         sys.exit(DIFFERENT)
     if stop.requested:

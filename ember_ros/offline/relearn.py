@@ -39,7 +39,7 @@ class Relearnt(NamedTuple):
     updates: int
     """Of cells of the table."""
     skipped: int
-    """Ticks of single legs that had no whole senses, or no command."""
+    """Ticks of one leg without complete senses or without a command."""
     falls: int
 
     @property
@@ -88,7 +88,7 @@ def relearn(
     namespace: str | None = None,
     go_on: Callable[[int, int], bool] = lambda ticks, falls: True,
 ) -> Relearnt:
-    """Learn from bags, one after the other, in the order given.
+    """Learn from bags, one after the other, in their order.
 
     Args:
         bags: folders.

@@ -80,7 +80,7 @@ class ReplayWorld:
         """Whether the record has ended."""
         self._advance()
         if self.over:
-            raise BagError(f"nothing to replay: {self.missing or 'there is no whole tick'}")
+            raise BagError(f"nothing to replay: {self.missing or 'there is no complete tick'}")
 
     def _advance(self) -> None:
         """Read the next tick of the bag; end if it is not complete, or not the following one."""
@@ -224,12 +224,12 @@ class Replayed(NamedTuple):
 SENSES = "CRC-32 of the senses"
 
 
-def conclusion_of(parts: Mapping[str, bool | None], *, whole: bool = True) -> str:
+def conclusion_of(parts: Mapping[str, bool | None], *, complete: bool = True) -> str:
     """Return in one line which parts are equal, which are not, and what follows from that.
 
     Args:
         parts: of ``Replayed``.
-        whole: whether the replay reached the end of the bag.
+        complete: whether the replay reached the end of the bag.
     """
     lists = {
         "equal": [name for name, same in parts.items() if same],
@@ -238,7 +238,7 @@ def conclusion_of(parts: Mapping[str, bool | None], *, whole: bool = True) -> st
     }
     compared = "; ".join(f"{how}: {', '.join(names)}" for how, names in lists.items() if names)
     if not lists["different"]:
-        conclusion = ". Equal, bit for bit" if whole else ". Equal so far"
+        conclusion = ". Equal, bit for bit" if complete else ". Equal so far"
         conclusion = "" if lists["equal"] == ["senses"] else conclusion
     elif parts["senses"] is False:
         conclusion = ". The bag was changed after it was recorded"
