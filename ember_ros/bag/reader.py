@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ember_ros import cdr, topics, wire
-from ember_ros.bag.files import Connection, Files, files_of
+from ember_ros.bag.files import Files, files_of
+from ember_ros.bag.messages import Connection
 from ember_ros.bag.run_metadata import RunMetadata, read_run_metadata
 from ember_ros.bag.run_writer import absolute, crc_of
 from ember_ros.bag.storage import METADATA, STORAGES, read_metadata

@@ -12,7 +12,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from ember_ros.bag.files import (
+from ember_ros.bag.compression import plain, unpacked
+from ember_ros.bag.files import Files, files_of
+from ember_ros.bag.guard import MAX_BYTES, MAX_TIMES, check_file, load_yaml
+from ember_ros.bag.mcap_file import (
     CHANNEL,
     CHUNK,
     FOOTER,
@@ -21,19 +24,13 @@ from ember_ros.bag.files import (
     MESSAGE,
     SCHEMA,
     Channels,
-    Connection,
-    Files,
-    Key,
-    Sqlite3,
     bounded,
     chunk,
-    files_of,
     message_in,
-    plain,
     records_in,
-    unpacked,
 )
-from ember_ros.bag.guard import MAX_BYTES, MAX_TIMES, check_file, load_yaml
+from ember_ros.bag.messages import Connection, Key
+from ember_ros.bag.sqlite3_file import Sqlite3
 from ember_ros.bag.storage import (
     METADATA,
     QOS,
