@@ -24,7 +24,7 @@ from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.spinning import node_main
 
 POLL_S = 0.1
-"""Wall time between two looks at what the graph and the nodes respond."""
+"""Wall time between two polls of the graph and of the metadata clients."""
 
 
 class RecorderNode(Node):  # type: ignore[misc]
@@ -106,8 +106,8 @@ class RecorderNode(Node):  # type: ignore[misc]
         if not any(robot.run_writer for robot in self._robots.values()):
             where = "anywhere" if self._all else f"in {self.get_namespace()}"
             raise BagError(
-                f"no robot was found {where}: the bag {self._folder} is empty; it must be in "
-                "the same namespace, domain and discovery range"
+                f"no robot was found {where}: the bag {self._folder} is empty; the "
+                "robot must be in the same namespace, domain and discovery range"
             )
         self._log_progress()
 
