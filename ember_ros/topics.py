@@ -16,8 +16,8 @@ name                       type                        carries
 ``odometry``               nav_msgs/Odometry           the body's pose, for viewers and bags
 ``diagnostics``            diagnostic_msgs/            absent legs, number of refused messages
                            DiagnosticArray
-``recorder/tick``          std_msgs/Int64              the last tick that a recorder node received
-``run/card``               std_msgs/String             in bags only: the run's metadata
+``recorder/tick``          std_msgs/Int64              the last tick a recorder node heard
+``run/card``               std_msgs/String             in bags only: what determined the run
 ``run/values``             std_msgs/Float64MultiArray  in bags only: the table at the start
 ``run/visits``             std_msgs/Int64MultiArray    in bags only: its visits of each cell
 ``run/crc``                std_msgs/UInt32MultiArray   in bags only: CRC-32 of each leg's senses
