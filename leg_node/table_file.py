@@ -268,7 +268,9 @@ class _Member:
         self.shape = tuple(int(size) for size in header[3].replace(b",", b" ").split())
         self._order: Any = "F" if header[2] == b"True" else "C"
         size = math.prod(self.shape) * self.dtype.itemsize
-        if self.dtype.hasobject or self._info.file_size != self._offset + size:
+        if self.dtype.hasobject:
+            raise ValueError(f"{name} holds Python objects; numbers would be right")
+        if self._info.file_size != self._offset + size:
             raise ValueError(
                 f"{name} has {self._info.file_size} bytes, but its header states "
                 f"{self._offset + size}"

@@ -35,6 +35,7 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
     arrive changes no bit of the result. The node never waits for a leg. With ``save`` set, each
     push is written to a journal before it is acknowledged, so a crash loses no acknowledged push;
     the table itself is written when the node ends and by ``table/save``.
+
     Services: ``table/push`` (rcl_interfaces/SetParametersAtomically),
     ``table/pull`` (rcl_interfaces/GetParameters), ``table/save`` (std_srvs/Trigger),
     ``table/learning`` (std_srvs/SetBool).

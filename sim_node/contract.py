@@ -1,4 +1,5 @@
 """Checks that a world of your own keeps the contract of all worlds. Pure.
+
     from sim_node.contract import check_world
     check_world(lambda: MyWorld(Params(), seed=0))
 

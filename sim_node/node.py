@@ -41,6 +41,7 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
 
     In lockstep the world also waits for a recorder node that publishes ``recorder/tick``, so that
     no message queue between the two overflows and the recorder loses nothing.
+
     Subscribes: ``cpg/phase`` (sensor_msgs/JointState), ``<leg>/command`` (sensor_msgs/JointState),
     ``<leg>/transition`` (sensor_msgs/JointState) of legs that publish one, ``recorder/tick``
     (std_msgs/Int64).

@@ -80,9 +80,9 @@ def test_help_tells_what_each_option_does(run: Run, verb: str) -> None:
 def test_the_list_says_of_a_command_what_its_own_help_says_first(run: Run, name: str) -> None:
     """The list imports no command: what it says stands in a table, and each command says it too."""
     listed = " ".join(run("--help").split())
-    assert f" {name} {COMMANDS[name].says}" in listed
+    assert f" {name} {COMMANDS[name].help}" in listed
     own = run(name, "--help").split("\n\n")[1]
-    assert " ".join(own.split()) == COMMANDS[name].says
+    assert " ".join(own.split()) == COMMANDS[name].help
 
 
 def test_ctrl_c_before_a_command_listens_is_one_of_a_command(run: Run) -> None:

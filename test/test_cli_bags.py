@@ -472,7 +472,7 @@ def test_repair_keeps_what_was_finished(run: Go) -> None:
     ticks = int(lines["ticks"].split()[0])
     assert 0 < ticks < CYCLES * TICKS
     assert ticks % 16 == 0
-    assert int(lines["cut off at the end"].split()[0]) > 0
+    assert int(lines["incomplete at the end"].split()[0]) > 0
     found = json.loads(run("bag", "info", "bag", "--json"))
     assert (found["ticks"], found["damaged"], found["lost_ticks"]) == (ticks, [], 0)
     assert "Equal, bit for bit." in run("replay", "bag")

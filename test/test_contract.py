@@ -233,7 +233,7 @@ BROKEN: dict[type[World], str] = {
     Forgives: "the number of falls decreases at tick 100",
     OfNumpy: r"front_left at tick 0: values of types .*float64",
     NotFinite: "front_left at tick 0: not finite",
-    PeakUnderMean: "force_peak 0.0; 0 or more, and a mean that is not above the peak, would be right",
+    PeakUnderMean: "force_peak 0.0; 0 or more, and a mean that is not above the peak, would",
     SlidesInTheAir: "slip 0.01 of a foot that touches nothing",
     SlidesBack: "slip -.*; 0 or more would be right",
     LostBody: "body at tick 0: not finite",

@@ -148,10 +148,10 @@ def ticks_of(bag: Path) -> int:
 # -- places --------------------------------------------------------------------------------------
 
 PLACES: dict[str, tuple[Callable[[Path], object], str]] = {
-    "a pipe": (os.mkfifo, "not a regular file"),
-    "a device": (lambda file: file.symlink_to("/dev/zero"), "not a regular file"),
+    "a pipe": (os.mkfifo, "no regular file"),
+    "a device": (lambda file: file.symlink_to("/dev/zero"), "no regular file"),
     "a ring": (lambda file: file.symlink_to(file), ""),
-    "a folder": (lambda file: file.mkdir(), "not a regular file"),
+    "a folder": (lambda file: file.mkdir(), "no regular file"),
     "a link out": (lambda file: file.symlink_to("/etc/passwd"), "leads out of the folder"),
     "a link up": (lambda file: file.symlink_to("../../../../../../../etc/passwd"), "leads out of"),
 }

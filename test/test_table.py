@@ -583,13 +583,14 @@ LIES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda f: packed(f, "about", npy("'<U99999999'", "()")), "but its header states"
     ),
     "digits": (lambda f: packed(f, "values", npy("'<f8'", f"({'9' * 9000},)")), "not a whole"),
-    "Python": (lambda f: packed(f, "values", npy("'<f8'", "(" * 9000)), "no plain array"),
+    "Python": (lambda f: packed(f, "values", npy("'<f8'", "(" * 9000)), "not a plain array"),
     "a record": (
-        lambda f: packed(f, "values", npy("[('a', '<f8')]", "(9,)", bytes(72))), "no plain array"
+        lambda f: packed(f, "values", npy("[('a', '<f8')]", "(9,)", bytes(72))), "not a plain array"
     ),
-    "objects": (lambda f: packed(f, "values", npy("'|O'", "()", bytes(8))), "not what its header"),
+    "objects": (lambda f: packed(f, "values", npy("'|O'", "()", bytes(8))), "Python objects"),
     "a version with a long header": (
-        lambda f: packed(f, "values", npy("'<f8'", "()", bytes(8), b"\x02\x00")), "no plain array"
+        lambda f: packed(f, "values", npy("'<f8'", "()", bytes(8), b"\x02\x00")),
+        "not a plain array",
     ),
     "deep JSON": (
         lambda f: rewrite(f, lambda c: c._replace(about=np.array("[" * 100_000))), "too deeply"

@@ -145,7 +145,7 @@ def test_two_worlds_do_not_influence_each_other(make: Make, kind: str, neighbour
             else None
             for _ in world.legs
         ]
-        at_random(other, PARAMS, 1, seed=tick, begin=tick)
+        at_random(other, PARAMS, 1, seed=tick, start=tick)
         if tick == 30:
             other.reset()
         if tick == 60:

@@ -1,4 +1,4 @@
-"""``ember bag``: the content of a bag, its numbers as CSV, and its repair."""
+"""``ember bag``: shows the content of a bag, exports it as CSV, or repairs it."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from ember_ros.terminal import console, grid
 
 @click.group("bag")
 def bag_command() -> None:
-    """Inspect a bag, write it as CSV, or repair one that was cut off."""
+    """Show the content of a bag, export it as CSV, or repair it."""
 
 
 @bag_command.command("info")
 @options.BAG
 @options.robot()
-@click.option("--cycles", is_flag=True, help="Also a line per cycle.")
-@click.option("--json", "as_json", is_flag=True, help="As JSON, with all cycles.")
+@click.option("--cycles", is_flag=True, help="Also print one line per cycle.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, including all cycles.")
 def _info(bag: Path, namespace: str | None, cycles: bool, as_json: bool) -> None:
-    """Print the content: run, cycles, falls, gaps, damage, provenance."""
+    """Show what a bag holds: run, cycles, falls, gaps, damage, provenance."""
     with Bag(bag, namespace=namespace) as opened:
         report, rows = inspection.info(opened)
     if as_json:
@@ -50,7 +50,7 @@ def _info(bag: Path, namespace: str | None, cycles: bool, as_json: bool) -> None
 @options.robot()
 @options.out("out/csv", "ticks.csv and cycles.csv")
 def _csv(bag: Path, namespace: str | None, out: Path) -> None:
-    """Write a row per tick and leg, and a row per cycle and leg, for pandas."""
+    """Export one line per tick and leg, and one line per cycle and leg, for pandas."""
     with Bag(bag, namespace=namespace) as opened:
         files = inspection.write_csv(opened, out)
     console.print(f"In {out}: {', '.join(file.name for file in files)}")
@@ -64,26 +64,27 @@ def _csv(bag: Path, namespace: str | None, out: Path) -> None:
 @options.BAG
 @click.option("--drop-original", is_flag=True, help="Remove the damaged bag afterwards.")
 def _repair(bag: Path, drop_original: bool) -> None:
-    """Restore what is intact in a bag that was cut off or damaged.
+    """Repair a bag whose recording was interrupted.
 
-    Every complete chunk is kept, and metadata.yaml is written again. The damaged bag stays beside
-    the new one, as BAG.orig. An intact bag is not changed.
+    All complete chunks are kept, and metadata.yaml is written again. The damaged bag stays next to
+    the new one, as BAG.orig. A bag without damage is not changed.
     """
     done = repair(bag, drop=drop_original)
     if done.healthy:
         console.print(
-            f"{bag} is intact: {done.messages} messages, {done.seconds:.3f} s. Nothing was changed."
+            f"{bag} has no damage: {done.messages} messages, {done.seconds:.3f} s. Nothing was "
+            "changed."
         )
         return
     lines: list[tuple[str, Any]] = [
-        ("restored", f"{done.messages} messages, {done.seconds:.3f} s"),
-        ("intact chunks", done.chunks),
+        ("recovered", f"{done.messages} messages, {done.seconds:.3f} s"),
+        ("complete chunks", done.chunks),
         ("damaged chunks", done.damaged),
-        ("cut off at the end", f"{done.torn_bytes} bytes"),
+        ("incomplete at the end", f"{done.torn_bytes} bytes"),
     ]
     with contextlib.suppress(BagError), Bag(bag) as opened:
         ticks = opened.phases()
         lines.insert(1, ("ticks", f"{ticks} ({ticks / opened.params.gait.ticks:g} cycles)"))
     if done.original is not None:
-        lines.append(("the damaged bag", f"{done.original.name}, in the same folder"))
+        lines.append(("damaged bag", f"{done.original.name}, next to it"))
     console.print(grid(lines))

@@ -1,6 +1,6 @@
-"""``ember`` itself: which commands there are, and how a mistake and Ctrl-C end them.
+"""The command ``ember``: its list of subcommands, and how errors and Ctrl-C end them.
 
-It imports click and nothing heavy: ``ember --help`` is there at once.
+It imports nothing heavier than click, so ``ember --help`` is fast.
 """
 
 from __future__ import annotations
@@ -19,39 +19,34 @@ from ember_ros.versions import version
 
 
 class Command(NamedTuple):
-    """Where a command is, and what it is for."""
+    """The module and the short help of a command."""
 
     file: str
-    """Of this folder; the command is ``NAME_command`` in it."""
-    says: str
-    """The first line of its own help."""
+    """Module of this package; it defines the command as ``NAME_command``."""
+    help: str
+    """The first line of the command's own help."""
 
 
 COMMANDS = {
-    "bag": Command("bag", "Look into a bag, write it as CSV, or repair one that was cut off."),
-    "bench": Command("experiment", "Measure ticks a second and what a tick costs."),
-    "demo": Command("run", "Train a leg, walk on four on the graph, draw it all."),
-    "experiment": Command(
-        "experiment",
-        "Run an experiment over many seeds, two runs at once, and write what came of it.",
-    ),
+    "bag": Command("bag", "Show the content of a bag, export it as CSV, or repair it."),
+    "bench": Command("experiment", "Measure ticks per second and the time of each part of a tick."),
+    "demo": Command("run", "Train one leg, walk with four on the ROS graph, and plot both."),
+    "experiment": Command("experiment", "Run an experiment over many seeds and write its report."),
     "node": Command("node", f"Start one node: {', '.join(NODES)}."),
-    "params": Command("params", "Print every parameter, as a file to edit or as a list to read."),
-    "play": Command("replay", "Publish a bag's topics again, for rviz, Foxglove, PlotJuggler."),
-    "relearn": Command(
-        "replay", "Learn a table from bags, with other numbers, without one new tick."
-    ),
-    "replay": Command("replay", "Run a recorded run again, and hold it against the record."),
+    "params": Command("params", "Print all parameters, as a file to edit or as a list to read."),
+    "play": Command("replay", "Publish the topics of a bag, for rviz, Foxglove or PlotJuggler."),
+    "relearn": Command("replay", "Learn a table from bags with other parameters, offline."),
+    "replay": Command("replay", "Repeat a recorded run and compare it with the record."),
     "train": Command("run", "Train one leg on the cantilever trainer."),
-    "walk": Command("run", "Let four legs carry a body, still learning."),
+    "walk": Command("run", "Walk with four legs that carry a body and continue to learn."),
 }
-"""Every command by its name."""
+"""All commands by name."""
 
 
 class _Ember(click.Group):
-    """Imports a command when it is asked for, and says errors of ours in one line, as click does.
+    """Imports a command when it is used, and prints errors of this package in one line.
 
-    The exit code is 2 for a mistake and 130 for Ctrl-C, whenever it comes.
+    The exit code is 2 for an error and 130 for Ctrl-C at any time.
     """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -66,10 +61,10 @@ class _Ember(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([(name, command.says) for name, command in COMMANDS.items()])
+            formatter.write_dl([(name, command.help) for name, command in COMMANDS.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
-        _say_all_paths()
+        _escape_output()
         try:
             return super().invoke(ctx)
         except EmberError as error:
@@ -77,16 +72,16 @@ class _Ember(click.Group):
             ctx.exit(error.code)
         except OSError as error:  # a full disk, a folder where a file should be
             if error.errno == errno.EPIPE:
-                raise  # click's own
+                raise  # click handles it
             where = f": {error.filename}" if error.filename else ""
             click.echo(f"error: {error.strerror or error}{where}", err=True)
             ctx.exit(2)
-        except KeyboardInterrupt:  # while a command is imported, or before it listens itself
+        except KeyboardInterrupt:  # during an import, or before the command handles signals
             ctx.exit(INTERRUPTED)
 
 
-def _say_all_paths() -> None:
-    """Have what an encoding has no letters for spelt out: a path may be anything."""
+def _escape_output() -> None:
+    """Escape characters that the output's encoding lacks: a path may contain any bytes."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
@@ -95,10 +90,10 @@ def _say_all_paths() -> None:
 @click.group(cls=_Ember, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(version(), prog_name="ember_ros")
 def main() -> None:
-    """Legs that learn to walk, each a module of its own, on a ROS 2 graph.
+    """Legs that learn to walk, each an independent learner, on a ROS 2 graph.
 
-    A leg learns alone on the trainer (`ember train`); four legs with what it learnt carry a body
-    and go on learning (`ember walk`). `ember demo` does both and draws a picture.
+    One leg learns alone on the trainer (`ember train`). Four legs with its table carry a body and
+    continue to learn (`ember walk`). `ember demo` does both and draws a figure.
 
     After Jacob, Polani and Nehaniv, "Legs that can walk" (2005).
     """

@@ -30,12 +30,14 @@ from ember_ros.terminal import command_line, console, grid, progress, stages
     help="How many; of learners at most 4, of sensitivity 3. Default: 10 (relearn: 5; isotropy "
     "has one).",
 )
-@options.cycles(None, "On the trainer. Default: 6000 (relearn: that are recorded, 1000).", least=1)
+@options.cycles(
+    None, "On the trainer. Default: 6000 (relearn: that are recorded, 1000).", minimum=1
+)
 @options.cycles(
     None,
     "On the body, where a walk is long; others take 1/14. "
     "Default: 7000 (relearn: 300, isotropy: 500).",
-    least=1,
+    minimum=1,
     flag="--walk-cycles",
 )
 @options.out("out/experiments", "REPRODUCTION.md, and for results/NAME.md, .json, .csv and .png")
@@ -175,7 +177,7 @@ def _say_made(folder: Path, made: list[str]) -> None:
 
 
 @click.command("bench")
-@options.cycles(100, "A walk's.", least=4)
+@options.cycles(100, "A walk's.", minimum=4)
 @click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Turns.")
 @click.option("--train-cycles", type=click.IntRange(1), default=6000, show_default=True)
 @click.option("--epochs", type=click.IntRange(10), default=10_000, show_default=True)

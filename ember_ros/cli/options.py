@@ -1,7 +1,7 @@
-"""Every option that more than one command has, once.
+"""The options that several commands share.
 
-What a node is told too (``ember_ros.options``) has its meaning, choices, range and default from
-there.
+Options that nodes have too take their meaning, choices, range and default from
+``ember_ros.options``.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import click
 from ember_ros.options import MINIMA, OPTIONS
 from ember_ros.params_file import config_names, read_settings
 
-Adds = Callable[[Any], Any]
-"""What adds an option to a command."""
+Decorator = Callable[[Any], Any]
+"""A decorator that adds an option to a command."""
 
 
-def together(*options: Adds) -> Adds:
-    """Return what adds several options, which help tells in this order."""
+def together(*options: Decorator) -> Decorator:
+    """Return a decorator that adds several options, listed by ``--help`` in this order."""
 
     def add(command: Any) -> Any:
         for option in reversed(options):
@@ -32,32 +32,32 @@ def together(*options: Adds) -> Adds:
     return add
 
 
-# -- what a value may be -----------------------------------------------------------------------
+# -- types of values ---------------------------------------------------------------------------
 
 
 class _Folder(click.Path):
-    """A folder; no name is none: it would be this folder here."""
+    """A folder; an empty name, which would be the working directory, is refused."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         """Return its path."""
         if value == "":
-            self.fail("'' names no folder; `.` is the one you are in", param, ctx)
+            self.fail("'' is not a folder; `.` is the working directory", param, ctx)
         return super().convert(value, param, ctx)
 
 
 class FiniteRange(click.FloatRange):
-    """A number in a range; ``nan`` and ``inf`` are in none."""
+    """A number in a range; ``nan`` and ``inf`` are refused."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         """Return the number."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
-            self.fail(f"{value!r} is no finite number", param, ctx)
+            self.fail(f"{value!r} is not a finite number", param, ctx)
         return number
 
 
 class _Namespace(click.ParamType):  # type: ignore[type-arg, unused-ignore]
-    """The name of a robot: words as ROS has them, with slashes between them."""
+    """A ROS namespace: names of letters, digits and _, separated by slashes."""
 
     name = "namespace"
 
@@ -65,43 +65,45 @@ class _Namespace(click.ParamType):  # type: ignore[type-arg, unused-ignore]
         """Return the namespace without slashes around it."""
         name = value.strip("/")
         if name and not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", name, re.ASCII):
-            self.fail(f"{value!r} is no namespace; letters, digits and _ would be right: robot_2")
+            self.fail(
+                f"{value!r} is not a namespace; letters, digits and _ would be right: robot_2"
+            )
         return name
 
 
 FILE, FOLDER = click.Path(path_type=Path), _Folder(path_type=Path, file_okay=False)
 
 
-# -- what nodes are told too -------------------------------------------------------------------
+# -- options that nodes have too ---------------------------------------------------------------
 
 
-def of_node(flag: str, *, also: str = "", **other: Any) -> Adds:
-    """Return an option that nodes have too: it says the same and takes the same.
+def of_node(flag: str, *, also: str = "", **other: Any) -> Decorator:
+    """Return an option that nodes have too, with the same meaning, type and default.
 
     Args:
-        flag: its name, as ``--split-mb`` of the nodes' ``split_mb``.
-        also: what is said behind the meaning.
-        **other: what is not as nodes have it, as ``click.option`` takes it.
+        flag: its name: ``--split-mb`` for the nodes' ``split_mb``.
+        also: text after the meaning.
+        **other: arguments of ``click.option`` that differ from the node's option.
     """
     name = flag.removeprefix("--").replace("-", "_")
     option = OPTIONS[name]
-    meaning = option.doc.partition("; ''")[0]  # here, none is an option that is not given
-    given: dict[str, Any] = {
+    meaning = option.doc.partition("; ''")[0]  # on the command line, one leaves the option out
+    arguments: dict[str, Any] = {
         "default": None if option.default == "" else option.default,
         "show_default": option.default != "",
         "help": f"{meaning[0].upper()}{meaning[1:]}{also}.",
     }
     if option.path:
-        given["type"] = FILE
+        arguments["type"] = FILE
     elif option.choices:
-        given["type"] = click.Choice(option.choices)
+        arguments["type"] = click.Choice(option.choices)
     elif isinstance(option.default, float):
-        given["type"] = FiniteRange(float(MINIMA[name]))
-    return click.option(flag, **{**given, **other})
+        arguments["type"] = FiniteRange(float(MINIMA[name]))
+    return click.option(flag, **{**arguments, **other})
 
 
 TABLE = of_node("--table", also="; `trained` comes with the package. Default: an empty one")
-SEED = of_node("--seed", type=int)  # the plan says its range
+SEED = of_node("--seed", type=int)  # RunConfig checks its range
 RECORD = together(
     of_node("--bag", also="; see `ember replay --help`"),
     of_node("--split-mb"),
@@ -109,14 +111,14 @@ RECORD = together(
 )
 
 
-# -- what the robot is ---------------------------------------------------------------------------
+# -- the robot -----------------------------------------------------------------------------------
 
 
 def _settings(
-    context: click.Context, parameter: click.Parameter, given: tuple[str, ...]
+    context: click.Context, parameter: click.Parameter, settings: tuple[str, ...]
 ) -> tuple[str, ...]:
-    read_settings(given)  # what is wrong with one is said before anything is opened
-    return given
+    read_settings(settings)  # report a wrong one before any file is opened
+    return settings
 
 
 PARAMS = together(
@@ -126,8 +128,8 @@ PARAMS = together(
         multiple=True,
         type=FILE,
         help="A ROS parameter file (section /**; `ember params` prints one), or the name of one "
-        f"that comes with the package: {', '.join(config_names())}. May be given more than once; "
-        "what a later one says wins.",
+        f"that comes with the package: {', '.join(config_names())}. May be repeated; later files "
+        "override earlier ones.",
     ),
     click.option(
         "--set",
@@ -135,61 +137,70 @@ PARAMS = together(
         multiple=True,
         metavar="GROUP.FIELD=VALUE",
         callback=_settings,
-        help="One parameter, on top of --params; may be given more than once.",
+        help="One parameter, which overrides --params. May be repeated.",
     ),
 )
 NAMESPACE = click.option(
     "--namespace",
     type=_Namespace(),
     default="",
-    help="Of all nodes, as robot_2: beside another robot on the same graph.",
+    help="Namespace of all nodes, such as robot_2, to run beside another robot on the graph.",
 )
 
 
-# -- how a command is done -----------------------------------------------------------------------
+# -- how a command runs --------------------------------------------------------------------------
 
 
-def cycles(default: int | None, text: str, *, least: int | None = None, flag: str = "") -> Adds:
-    """Return the option of how many cycles are run.
+def cycles(
+    default: int | None, text: str, *, minimum: int | None = None, flag: str = ""
+) -> Decorator:
+    """Return the option for the number of cycles.
 
     Args:
-        default: shown where there is one.
-        text: what help says.
-        least: fewest cycles; the plan says its own for None.
-        flag: its name where it is not ``--cycles``.
+        default: shown by ``--help`` unless it is None.
+        text: the help text.
+        minimum: fewest cycles; checked by ``RunConfig`` for None.
+        flag: its name, if it is not ``--cycles``.
     """
-    kind = int if least is None else click.IntRange(least)
+    kind = int if minimum is None else click.IntRange(minimum)
     shown = default is not None
     return click.option(
         flag or "--cycles", type=kind, default=default, show_default=shown, help=text
     )
 
 
-def on(ways: Sequence[str], default: str, text: str) -> Adds:
-    """Return the option of what runs it, handed on as ``way``."""
+def on(backends: Sequence[str], default: str, text: str) -> Decorator:
+    """Return the option ``--on``; the command receives it as ``backend``."""
     return click.option(
-        "--on", "way", type=click.Choice(ways), default=default, show_default=True, help=text
+        "--on",
+        "backend",
+        type=click.Choice(backends),
+        default=default,
+        show_default=True,
+        help=text,
     )
 
 
-def out(default: str, holds: str) -> Adds:
-    """Return the option of the folder that is written into."""
+def out(default: str, holds: str) -> Decorator:
+    """Return the option for the output folder."""
     return click.option(
         "--out", type=FOLDER, default=default, show_default=True, help=f"Folder for {holds}."
     )
 
 
-def force(text: str = "Replace an earlier run in --out, once the new one has begun.") -> Adds:
-    """Return the option that lets something be replaced."""
+def force(
+    text: str = "Replace an earlier run in --out once the new one has finished a cycle.",
+) -> Decorator:
+    """Return the option that allows a command to replace files."""
     return click.option("--force", is_flag=True, help=text)
 
 
-# -- which bag -----------------------------------------------------------------------------------
+# -- bags ----------------------------------------------------------------------------------------
 
 BAG = click.argument("bag", type=FILE)
 
 
-def robot(also: str = "") -> Adds:
-    """Return the option of which robot in a bag is meant."""
-    text = f"Of the robot, where the bag holds more than one{also}."
+def robot(also: str = "") -> Decorator:
+    """Return the option that selects a robot in a bag."""
+    text = f"Namespace of the robot, if the bag holds more than one{also}."
     return click.option("--namespace", type=_Namespace(), help=text)

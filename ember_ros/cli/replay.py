@@ -1,4 +1,4 @@
-"""``ember replay``, ``play`` and ``relearn``: what is done with a recorded run."""
+"""``ember replay``, ``play`` and ``relearn``: the commands that use a recorded run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ember_ros.terminal import command_line, console, grid, progress
 from leg_node.table_file import load_table, save_table
 
 
-def _rate(text: str, **more: Any) -> options.Adds:
+def _rate(text: str, **more: Any) -> options.Decorator:
     return click.option("--rate", show_default=True, help=f"Times real time{text}.", **more)
 
 
@@ -33,33 +33,33 @@ def _rate(text: str, **more: Any) -> options.Adds:
 @options.on(
     ("loop", "graph"),
     "loop",
-    "loop: no ROS, fastest. graph: real leg nodes, table node and CPG node.",
+    "loop: without ROS, fastest. graph: real leg nodes, table node and CPG node.",
 )
-@_rate("; 0: as fast as can be", type=options.FiniteRange(0.0), default=0.0)
-@options.robot("; with --on graph, of the nodes as well")
+@_rate("; 0: as fast as possible", type=options.FiniteRange(0.0), default=0.0)
+@options.robot("; with --on graph also the namespace of the nodes")
 @click.option(
-    "--table", "table_file", type=options.FILE, help="Write its table here, into a new file."
+    "--table", "table_file", type=options.FILE, help="Write the table at the end to this new file."
 )
 def replay_command(
-    bag: Path, way: str, rate: float, namespace: str | None, table_file: Path | None
+    bag: Path, backend: str, rate: float, namespace: str | None, table_file: Path | None
 ) -> None:
-    """Run a recorded run again, and compare it with the record.
+    """Repeat a recorded run and compare it with the record.
 
-    New leg modules start as the recorded ones did, and receive the recorded senses. Every command
-    and the table at the end must be equal, bit for bit. The exit code is 0 if they are, and 1 if
-    not; then the first difference is printed.
+    New leg modules start in the recorded initial state and receive the recorded senses. All
+    commands and the table at the end must be equal, bit for bit. The exit code is 0 if they are,
+    and 1 if not; then the first difference is printed.
 
     \b
     ember replay walk
     ember replay walk --on graph --rate 1
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
     if table_file is not None and table_file.exists():
-        raise ParameterError(f"{table_file} is there already; a new file would be right")
+        raise ParameterError(f"{table_file} exists already; a new file would be right")
     run: replay.Runner = replay.by_loop
-    if way == "graph":
+    if backend == "graph":
         run = functools.partial(by_graph, namespace=namespace or "")
-    with stop_signals() as stop, _robot(bag, namespace, way) as opened:
-        with progress(f"replaying ({way})", opened.phases()) as update:
+    with stop_signals() as stop, _robot(bag, namespace, backend) as opened:
+        with progress(f"replaying ({backend})", opened.phases()) as update:
 
             def go_on(ticks: int) -> bool:
                 if ticks % 32 == 0:
@@ -74,7 +74,7 @@ def replay_command(
         if table_file is not None:
             save_table(table_file, done.table, opened.params, 0)
             console.print(f"In {table_file}: the table at the end")
-    console.print(grid(replay.describe(done, opened.params.gait.tick_s)))
+    console.print(grid(replay.told(done, opened.params.gait.tick_s)))
     if done.missing:
         console.print(f"The record ends early: {done.missing}.")
     if done.difference is not None:
@@ -88,10 +88,10 @@ def replay_command(
         sys.exit(INTERRUPTED)
 
 
-def _robot(bag: Path, namespace: str | None, way: str) -> Bag:
-    """Open a bag at one of its robots; a graph runs its only one in whatever namespace is asked."""
-    if way == "graph" and namespace is not None:
-        with contextlib.suppress(BagError):  # more than one, or said below
+def _robot(bag: Path, namespace: str | None, backend: str) -> Bag:
+    """Open one robot of a bag; a graph can run a bag's only robot in any namespace."""
+    if backend == "graph" and namespace is not None:
+        with contextlib.suppress(BagError):  # more than one robot, or an error raised below
             return Bag(bag)
     return Bag(bag, namespace=namespace)
 
@@ -103,14 +103,15 @@ def _robot(bag: Path, namespace: str | None, way: str) -> Bag:
     "--start",
     type=options.FiniteRange(0.0),
     default=0.0,
-    help="Simulated seconds to leave out.",
+    help="Simulated seconds to skip at the start.",
 )
-@click.option("--paused", is_flag=True, help="Begin paused.")
+@click.option("--paused", is_flag=True, help="Start paused.")
 @click.option(
     "--live",
     multiple=True,
     metavar="LEG",
-    help="Leave out this leg's commands: a live leg node publishes them. Waits for that node.",
+    help="Leave out this leg's commands, because a live leg node publishes them. Playing starts "
+    "once the node is connected.",
 )
 @options.robot()
 def play_command(
@@ -121,14 +122,14 @@ def play_command(
     live: tuple[str, ...],
     namespace: str | None,
 ) -> None:
-    """Publish a bag's topics again, for rviz, Foxglove, PlotJuggler.
+    """Publish the topics of a bag, for rviz, Foxglove or PlotJuggler.
 
-    /clock is among them. The space key pauses, and so does the service play/pause
+    They include /clock. The space key pauses, and so does the service play/pause
     (std_srvs/SetBool).
 
     \b
     ember play walk --rate 0.25
-    ember play walk --live front_left   beside a leg_node of that name, -p shared:=false
+    ember play walk --live front_left   with a leg_node for that leg, -p shared:=false
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
     prepare_environment()
     try:
@@ -157,7 +158,7 @@ def play_command(
 
 
 class _Numbers(click.ParamType):  # type: ignore[type-arg, unused-ignore]
-    """Numbers with commas between them."""
+    """Numbers separated by commas."""
 
     name = "float,float,..."
 
@@ -166,11 +167,11 @@ class _Numbers(click.ParamType):  # type: ignore[type-arg, unused-ignore]
         try:
             return tuple(float(part) for part in str(value).split(","))
         except ValueError:
-            self.fail(f"{value!r} is no list of numbers; 0.1,0.5,1 would be right", param, ctx)
+            self.fail(f"{value!r} is not a list of numbers; 0.1,0.5,1 would be right", param, ctx)
 
 
-def _numbers() -> options.Adds:
-    """Return what adds an option for every reward and every edge of the partition, by full name."""
+def _numbers() -> options.Decorator:
+    """Return a decorator that adds an option for each parameter in ``reward`` and ``state``."""
     added = []
     for name, spec in SPECS.items():
         if name.split(".")[0] in ("reward", "state"):
@@ -184,13 +185,13 @@ def _numbers() -> options.Adds:
 
 @click.command("relearn")
 @click.argument("bags", nargs=-1, required=True, type=options.FILE)
-@click.option("--alpha", type=float, help="Least learning rate: alpha_floor of the stage.")
-@click.option("--gamma", type=float, help="Discount a tick.")
-@click.option("--bins", type=int, help="Partitions of the hip's range: state.hip_bins.")
+@click.option("--alpha", type=float, help="Minimum learning rate: alpha_floor of the stage.")
+@click.option("--gamma", type=float, help="Discount factor per tick.")
+@click.option("--bins", type=int, help="Number of bins for the hip angle: state.hip_bins.")
 @click.option(
-    "--passes", type=click.IntRange(1), default=1, show_default=True, help="Over all bags."
+    "--passes", type=click.IntRange(1), default=1, show_default=True, help="Passes over all bags."
 )
-@options.of_node("--stage", also=". Default: those of the first bag's world", default=None)
+@options.of_node("--stage", also=". Default: that of the first bag's world", default=None)
 @options.TABLE
 @options.PARAMS
 @options.robot()
@@ -212,11 +213,11 @@ def relearn_command(
     force: bool,
     **numbers: Any,
 ) -> None:
-    """Learn a table from bags, with other numbers, without one new tick.
+    """Learn a table from bags with other parameters, offline.
 
-    Q-learning is off-policy: whatever the legs did when the bags were recorded, the table that
-    would have been learnt from it with these rewards, partitions and rates is computed, bag after
-    bag in this order. Parameters are those of the first bag, or those of --params.
+    Q-learning is off-policy: the table is computed from the recorded senses and actions with other
+    rewards, partitions and rates, whatever policy was recorded. Bags are processed in the order of
+    the command line. Parameters are those of the first bag, or those of --params.
 
     \b
     ember relearn walk --gamma 0.9 --reward.slip 2
@@ -225,10 +226,10 @@ def relearn_command(
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
     if not force:
         relearn.refuse_to_replace(out)
-    given = load_params(*params_files) if params_files else None
-    with Bag(bags[0], namespace=namespace, params=given) as first:
+    file_params = load_params(*params_files) if params_files else None
+    with Bag(bags[0], namespace=namespace, params=file_params) as first:
         stage = stage or first.stage
-        base = given or first.params
+        base = file_params or first.params
     changes = dict(read_settings(settings))
     named = {name.replace("__", "."): value for name, value in numbers.items()}
     changes |= {name: value for name, value in named.items() if value is not None}
@@ -247,7 +248,7 @@ def relearn_command(
             learnt = relearn.relearn(
                 bags,
                 changes,
-                params=given,
+                params=file_params,
                 stage=stage,
                 table=start,
                 passes=passes,
@@ -260,7 +261,7 @@ def relearn_command(
             click.echo(f"error: {error}", err=True)
             sys.exit(INTERRUPTED)
         update(total, f"{learnt.ticks} ticks, {learnt.falls} falls")
-    asked = {
+    request = {
         "command": command_line(),
         "bags": [str(bag) for bag in bags],
         "passes": passes,
@@ -268,9 +269,9 @@ def relearn_command(
         "changes": changes,
         "start_table": str(table) if table else None,
     }
-    relearn.write(learnt, out, asked)
-    console.print(grid(relearn.describe(learnt)))
-    console.print(f"In {out}: {', '.join(relearn.OUTPUTS)}")
+    relearn.write(learnt, out, request)
+    console.print(grid(relearn.told(learnt)))
+    console.print(f"In {out}: {', '.join(relearn.LEFT)}")
     new = f"--table {out / relearn.TABLE} --params {out / relearn.PARAMS}"
     console.print(f"ember walk {new}")
 
