@@ -1,7 +1,8 @@
-"""The parts of a robot that can be swapped, found by their dotted paths.
+"""Imports the exchangeable parts of a robot by their dotted paths, and creates them.
 
 ``parts.reward: my_package.rewards.Mine`` in a parameter file, ``--set``, or ``ros2 run ... -p``
-names a class (or a function that makes one) in a module that can be imported where the robot runs.
+names a class, or a function that returns an object, in a module that can be imported where the
+robot runs.
 """
 
 from __future__ import annotations
@@ -22,18 +23,18 @@ FACES = {
     "policy": ("choose",),
     "world": ("legs", "over", "work", "observe", "step", "body", "reset", "close"),
 }
-"""What each part has, as its protocol says."""
+"""The attributes that each part must have, as in its protocol."""
 
 
 def find(path: str, name: str) -> Any:
-    """Return what a dotted path names.
+    """Return the object that a dotted path names.
 
     Args:
-        path: of a module and a name in it, ``package.module.Class``.
-        name: of the parameter that it was given by, for the error.
+        path: a module and a name in it, ``package.module.Class``.
+        name: the parameter that holds the path, for the error message.
 
     Raises:
-        ParameterError: it cannot be imported, or the module has no such name.
+        ParameterError: the module cannot be imported, or has no such name.
     """
     module, _, attribute = path.rpartition(".")
     try:
@@ -55,15 +56,15 @@ def find(path: str, name: str) -> Any:
 
 
 def make(params: Params, part: str, *args: Any) -> Any:
-    """Return a new part of a robot.
+    """Create a part of a robot.
 
     Args:
-        params: that name it.
+        params: ``params.parts`` holds its dotted path.
         part: a field of ``params.parts``.
-        *args: that such a part is made with.
+        *args: arguments for the part's constructor.
 
     Raises:
-        ParameterError: it cannot be found, or made.
+        ParameterError: it cannot be imported or created, or lacks an attribute.
     """
     path, name = getattr(params.parts, part), f"parts.{part}"
     found = find(path, name)
@@ -71,17 +72,17 @@ def make(params: Params, part: str, *args: Any) -> Any:
 
 
 def build(found: Any, part: str, where: str, *args: Any, **options: Any) -> Any:
-    """Return a new part, held to having what others use of it.
+    """Create a part and check that it has all attributes in ``FACES``.
 
     Args:
-        found: its class, or a function that makes one.
-        part: what it is to be, one of ``FACES``.
-        where: it was named, for the error.
-        *args: that such a part is made with.
-        **options: the same, by name.
+        found: its class, or a function that returns the part.
+        part: the kind of part, a key of ``FACES``.
+        where: the source of the name, for the error message.
+        *args: arguments for ``found``.
+        **options: keyword arguments for ``found``.
 
     Raises:
-        ParameterError: it cannot be made, or lacks something.
+        ParameterError: it cannot be created, or lacks an attribute.
     """
     if not callable(found):
         raise ParameterError(f"{where} is no class; a class would be right")

@@ -15,14 +15,21 @@ class WalkerWorld(BulletWorld):
     """Legs on a body that can fall.
 
     A fall is roll or pitch beyond ``walker.fall_angle``, the body on the ground, or hips under
-    ``walker.fall_height`` for a whole cycle. It is counted; the robot is put back on its feet
-    where it fell, heading where it headed, and the next senses are marked ``first_tick``.
+    ``walker.fall_height`` for a whole cycle. Falls are counted. After a fall the robot is put back
+    on its feet at the same place with the same heading, and the next senses are ``first_tick``.
     """
 
     def __init__(
         self, params: Params, *, seed: int = 0, heading: float = 0.0, gui: bool = False
     ) -> None:
-        """Build the walker, heading ``heading`` rad to the left of x; nothing hangs on the seed."""
+        """Build the walker.
+
+        Args:
+            params: of the robot and the physics.
+            seed: not used: nothing in this world is random.
+            heading: angle to the left of the x axis, rad.
+            gui: whether to show PyBullet's window.
+        """
         behind = params.robot.segments[1:]
         self.legs = params.robot.legs
         self.body_joints = tuple(bodies.twist_of(name) for name in behind)
@@ -31,14 +38,14 @@ class WalkerWorld(BulletWorld):
         super().__init__(params, gui=gui)
 
     def reset(self) -> None:
-        """Build everything anew, as it was at tick 0."""
+        """Restore the state of tick 0."""
         self._falls = 0
         self._start, self._start_heading = (0.0, 0.0), self._first_heading
         self._rate = PhaseRate(1.0 / self.params.gait.ticks)
         super().reset()
 
     def body(self) -> BodyState:
-        """Return the pose of the body's middle, its segments averaged."""
+        """Return the pose of the body, averaged over its segments."""
         return self._body
 
     def _urdf(self) -> str:
@@ -51,14 +58,14 @@ class WalkerWorld(BulletWorld):
         return self._body.yaw
 
     def _prepare(self) -> None:
-        self._low = 0  # ticks on end with the hips too low
+        self._low = 0  # consecutive ticks with the hips too low
 
     def _drive(self, beat: Beat) -> None:
-        """Twist in synchrony with the phase, so that the swinging legs are raised.
+        """Twist the body in synchrony with the phase, so that the swinging legs are raised.
 
-        At ``twist_phase`` the first segment's left side is highest against the next one, whose own
-        is highest against the one behind it half a cycle later, and so on: legs that are neighbours
-        on one side swing in turn.
+        At ``twist_phase`` the left side of the first segment is highest relative to the second. The
+        second is highest relative to the third half a cycle later, and so on, because neighbouring
+        legs of one side swing in turn.
         """
         walker, gait = self.params.walker, self.params.gait
         after = beat.phase + self._rate.per_tick(beat) - walker.twist_phase
@@ -82,7 +89,7 @@ class WalkerWorld(BulletWorld):
             ahead += link[0][0]
             aside += link[0][1]
             height += link[0][2]
-        turned = turns = 0.0  # of a segment against the first, and of all together
+        turned = turns = 0.0  # angle of a segment relative to the first one; sum over all segments
         for turn, *_ in self._body_joints:
             turned += turn
             turns += turned

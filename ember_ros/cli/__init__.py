@@ -1,4 +1,4 @@
-"""The command line ``ember``: a file a group of commands, each imported when it is asked for."""
+"""The command line ``ember``: one module per group of commands, imported when it is used."""
 
 from ember_ros.cli.ember import main
 

@@ -1,6 +1,6 @@
-"""Exit codes besides 0, and 2 for a mistake."""
+"""Exit codes of ``ember``, in addition to 0 for success and 2 for an error."""
 
 DIFFERENT = 1
-"""Of a replay that came out otherwise, or of a bag with damage in it."""
+"""A replay that differs from its record, or a bag with damage."""
 INTERRUPTED = 130
-"""Of an end by Ctrl-C, as the shell has it."""
+"""Stopped by Ctrl-C; the code that shells use."""

@@ -1,4 +1,4 @@
-"""``ember experiment`` and ``bench``: what the paper's claims come to, and what a tick costs."""
+"""``ember experiment`` and ``bench``: tests of the paper's claims, and the time of a tick."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from ember_ros.terminal import command_line, console, grid, progress, stages
 @click.argument("name", type=click.Choice([*STUDIES, relearn.NAME, isotropy.NAME, ALL]))
 @click.option(
     "--seeds",
-    type=click.IntRange(1, 100),  # from 100 on they are held out
-    help="How many; of learners at most 4, of sensitivity 3. Default: 10 (relearn: 5; isotropy "
-    "has one).",
+    type=click.IntRange(1, 100),  # seeds from 100 on are held out
+    help="Number of seeds; learners uses at most 4, sensitivity 3. Default: 10 (relearn: 5; "
+    "isotropy: 1).",
 )
 @options.cycles(
-    None, "On the trainer. Default: 6000 (relearn: that are recorded, 1000).", minimum=1
+    None, "Cycles on the trainer. Default: 6000 (relearn: 1000 recorded ones).", minimum=1
 )
 @options.cycles(
     None,
-    "On the body, where a walk is long; others take 1/14. "
+    "Cycles of a long walk; short walks have 1/14 of it. "
     "Default: 7000 (relearn: 300, isotropy: 500).",
     minimum=1,
     flag="--walk-cycles",
@@ -46,12 +46,12 @@ from ember_ros.terminal import command_line, console, grid, progress, stages
     type=options.FOLDER,
     default="out/trials",
     show_default=True,
-    help="Folder of all single runs; what is there is not run again.",
+    help="Folder of all single runs; runs that are in it are not repeated.",
 )
 @click.option(
     "--redraw",
     is_flag=True,
-    help="Run nothing: make pages, tables and figures again from the results in --out.",
+    help="Run nothing; write pages, tables and figures again from the results in --out.",
 )
 def experiment_command(
     name: str,
@@ -62,25 +62,25 @@ def experiment_command(
     trials: Path,
     redraw: bool,
 ) -> None:
-    """Run an experiment over many seeds, two runs at once, and write what came of it.
+    """Run an experiment over many seeds and write its report.
 
-    Stopped by Ctrl-C, it goes on where it was when it is started again; isotropy and relearn
-    begin their walks anew.
+    Two runs take place at a time. After Ctrl-C, the same command continues with the runs that are
+    missing; isotropy and relearn repeat their walks.
 
     \b
-    fig5         one leg on the trainer, the stop fixed or modulated
-    walker       figures 6 and 7, and steps to failure: learning on the body
-    direct       legs that know nothing, on the body
-    sharing      one table for all legs against one each
-    regime       which training walks better
-    baselines    by hand, random, frozen, learning, a central learner
-    learners     what ember adds to plain, each part alone and left out
+    fig5         one leg on the trainer, with a fixed or a modulated stop
+    walker       learning on the body: figures 6 and 7, and steps to failure
+    direct       learning on the body from an empty table
+    sharing      one shared table against one table per leg
+    regime       which training gives better walking
+    baselines    scripted, random, frozen and learning legs, and a central learner
+    learners     the additions to plain Q-learning, each alone and each left out
     frontier     narrow bodies
-    senses       each sense left out; what a walker meets that is new to it
-    sensitivity  the mechanics, one number at a time
-    relearn      tables learnt from bags of random and scripted walkers
-    isotropy     whether the world is the same in every direction
-    all          all of the paper's, and the document REPRODUCTION.md
+    senses       each sense left out; states of the walker that the trainer does not have
+    sensitivity  the mechanical parameters, one at a time
+    relearn      tables learnt from bags of random and scripted walks
+    isotropy     whether the world is the same in all directions
+    all          all experiments of the paper, and the document REPRODUCTION.md
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
     results = out / RESULTS
     if name == relearn.NAME:
@@ -89,16 +89,16 @@ def experiment_command(
             if redraw
             else _relearn(seeds or 5, cycles or relearn.CYCLES, walk_cycles or 300, trials)
         )
-        _say_made(results, relearn.write(found, results))
+        _print_files(results, relearn.write(found, results))
         return
-    need("matplotlib", why="to draw what comes of it")
+    need("matplotlib", why="to draw the figures")
     if name == isotropy.NAME:
         if seeds not in (None, 1):
-            raise click.UsageError("isotropy has one training: --seeds is not for it")
+            raise click.UsageError("isotropy has one training only; leave --seeds out")
         found = (
             read(name, results) if redraw else _isotropy(cycles or 6000, walk_cycles or 500, trials)
         )
-        _say_made(results, isotropy.write(found, results))
+        _print_files(results, isotropy.write(found, results))
         return
     need("scipy", why="for the statistics of experiments")
     studies = list(STUDIES.values()) if name == ALL else [STUDIES[name]]
@@ -114,23 +114,23 @@ def _run(name: str, studies: list[Study], size: Size, trials: Path) -> list[Foun
     with _going_on(name) as go_on:
         found = reproduction.run(studies, size, trials, go_on, command_line())
     if found is None:
-        _stop(f"Stopped; what was run is in {trials}, and is not run again.")
+        _stop(f"Stopped; finished runs are in {trials} and will not be repeated.")
     return found
 
 
 def _redraw(studies: list[Study], out: Path) -> list[str]:
-    """Write again what is made from results that are there."""
+    """Write pages, tables and figures again from existing results."""
     found = [read(study.name, out / RESULTS) for study in studies]
     for study, each in zip(studies, found, strict=True):
         why = belongs(study, each)
         if why is not None:
-            console.print(f"{study.name}: not what this version would come to: {why}")
+            console.print(f"{study.name}: this version would give other results: {why}")
     try:
         return reproduction.write_all(studies, found, out)
     except KeyError as error:
         raise ParameterError(
-            f"what this version draws is not in these results: {error}; without --redraw they are "
-            "made again"
+            f"these results lack {error}, which this version draws; without --redraw they are "
+            "computed again"
         ) from error
 
 
@@ -156,7 +156,7 @@ def _isotropy(cycles: int, walk_cycles: int, trials: Path) -> Found:
 
 @contextmanager
 def _going_on(label: str, unit: str = "%") -> Iterator[Callable[[int, int], bool]]:
-    """Give what is told how much is done of how much, shows it, and says whether to go on."""
+    """Yield a callback that shows the progress and returns whether to continue."""
     with stop_signals() as stop, progress(label, 100) as update:
 
         def go_on(done: int, of: int) -> bool:
@@ -172,13 +172,15 @@ def _stop(why: str) -> NoReturn:
     sys.exit(INTERRUPTED)
 
 
-def _say_made(folder: Path, made: list[str]) -> None:
-    console.print(f"In {folder}: {', '.join(made)}")
+def _print_files(folder: Path, names: list[str]) -> None:
+    console.print(f"In {folder}: {', '.join(names)}")
 
 
 @click.command("bench")
-@options.cycles(100, "A walk's.", minimum=4)
-@click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Turns.")
+@options.cycles(100, "Cycles of a walk.", minimum=4)
+@click.option(
+    "--repeats", type=click.IntRange(1), default=5, show_default=True, help="Number of repeats."
+)
 @click.option("--train-cycles", type=click.IntRange(1), default=6000, show_default=True)
 @click.option("--epochs", type=click.IntRange(10), default=10_000, show_default=True)
 @options.PARAMS
@@ -186,16 +188,17 @@ def _say_made(folder: Path, made: list[str]) -> None:
 def bench_command(
     params_files: tuple[Path, ...], settings: tuple[str, ...], out: Path, **sizes: int
 ) -> None:
-    """Measure ticks a second and what a tick costs.
+    """Measure ticks per second and the time of each part of a tick.
 
-    One walk is run by physics alone, the loop, the graph in one process and in seven, in turn and
-    over and over; medians and ratios within one turn are printed. The machine should be idle.
+    The same walk runs with physics only, in the loop, and on the graph in one process and in seven,
+    in turn and repeatedly. Medians, and ratios within a repeat, are printed. The machine should be
+    idle.
     """
     from ember_ros import bench
 
     params = load_params(*params_files, settings=settings)
-    with stages("measuring") as say:
-        found = bench.bench(params, say=say, **sizes)
-    made = bench.write(found, out, command_line())
-    console.print(grid(bench.lines(found)))
-    _say_made(out, made)
+    with stages("measuring") as show_stage:
+        measured = bench.bench(params, say=show_stage, **sizes)
+    made = bench.write(measured, out, command_line())
+    console.print(grid(bench.lines(measured)))
+    _print_files(out, made)

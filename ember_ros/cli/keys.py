@@ -1,4 +1,4 @@
-"""The keyboard, for a command that listens to it while it runs."""
+"""Keyboard input of a running command."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from collections.abc import Callable, Iterator
 
 @contextlib.contextmanager
 def space() -> Iterator[Callable[[], bool]]:
-    """Give a function that tells whether the space key was pressed, where there are keys."""
+    """Yield a function that returns whether the space key was pressed since its last call.
+
+    Without a terminal it always returns False.
+    """
     if not sys.stdin.isatty():
         yield lambda: False
         return
@@ -25,12 +28,12 @@ def space() -> Iterator[Callable[[], bool]]:
     def pressed() -> bool:
         if not select.select([keys], [], [], 0.0)[0]:
             return False
-        with contextlib.suppress(OSError):  # the terminal is gone
+        with contextlib.suppress(OSError):  # the terminal is closed
             return os.read(keys, 64).count(b" ") % 2 == 1
         return False
 
     try:
         yield pressed
     finally:
-        with contextlib.suppress(termios.error):  # the same
+        with contextlib.suppress(termios.error):  # the terminal is closed
             termios.tcsetattr(keys, termios.TCSADRAIN, before)

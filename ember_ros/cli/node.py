@@ -1,4 +1,4 @@
-"""``ember node``: one node in this process."""
+"""``ember node``: runs one node in this process."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ember_ros.entry_points import NODES, run_node
 def node_command(name: str, args: tuple[str, ...]) -> None:
     """Start one node: sim_node, leg_node, cpg_node, table_node, recorder_node.
 
-    It runs in this process, as with `ros2 run ember_ros NAME`.
+    It is the same as `ros2 run ember_ros NAME`.
 
     \b
-    ember node sim_node --help       what it is, and its parameters
+    ember node sim_node --help       description and parameters of the node
     ember node leg_node --ros-args -p leg:=front_left -r __node:=leg_front_left
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
     run_node(name, list(args))

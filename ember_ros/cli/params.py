@@ -1,4 +1,4 @@
-"""``ember params``: every parameter of the robot."""
+"""``ember params``: prints all parameters of the robot and its learning."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from ember_ros.params_file import dump_params, range_of
 
 
 @click.command("params")
-@click.option("--describe", is_flag=True, help="Say unit, range and meaning instead of YAML.")
+@click.option("--describe", is_flag=True, help="Print unit, range and meaning instead of YAML.")
 def params_command(describe: bool) -> None:
-    """Print every parameter, as a file to edit or as a list to read.
+    """Print all parameters, as a file to edit or as a list to read.
 
     \b
     ember params > mine.yaml
