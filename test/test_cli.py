@@ -201,7 +201,7 @@ def test_ctrl_c_before_the_first_cycle_replaces_nothing(
 def test_no_name_is_no_folder(run: Run, verb: str) -> None:
     """``--out "$UNSET"`` would fill the folder one is in."""
     words = [verb, "fig5"] if verb == "experiment" else [verb]
-    assert "'' names no folder" in run(*words, "--out", "", code=2)
+    assert "'' is not a folder" in run(*words, "--out", "", code=2)
     assert list(Path().iterdir()) == []
 
 
@@ -320,8 +320,8 @@ def test_a_bad_parameter_file_is_said_in_one_line(run: Run, content: str, says: 
     ("words", "says"),
     [
         (("--cycles", -1), "cycles = -1 must be 0 or more"),
-        (("--bag", "b", "--split-s", "nan"), "'nan' is no finite number"),
-        (("--bag", "b", "--split-mb", "inf"), "'inf' is no finite number"),
+        (("--bag", "b", "--split-s", "nan"), "'nan' is not a finite number"),
+        (("--bag", "b", "--split-mb", "inf"), "'inf' is not a finite number"),
         (("--seed", -1), "seed = -1: 0 to 9223372036854775807 would be right"),
         (("--params", "none.yaml"), "none.yaml"),
         (("--out", "/proc/ember"), "/proc/ember"),
@@ -412,7 +412,7 @@ def test_a_namespace_is_of_the_demo_and_of_a_replay_too(run: Run, free_domain: i
     run("replay", "bag", "--on", "graph", code=2)
     assert "Equal, bit for bit" in run("replay", "bag", "--on", "graph", *robot)
     lock.release()
-    assert "'2' is no namespace" in run("walk", "--namespace", "2", code=2)
+    assert "'2' is not a namespace" in run("walk", "--namespace", "2", code=2)
     assert "no robot in robot_2" in run("replay", "bag", *robot, code=2)
 
 
@@ -442,7 +442,7 @@ def test_ctrl_c_saves_what_was_learnt(tmp_path: Path, way: str) -> None:
         walk.send_signal(signal.SIGINT)
         output = walk.communicate(timeout=DEADLINE_S)[0].decode()
     assert walk.returncode == 130, output
-    assert "what was learnt is in o/table.npz" in output
+    assert "the table is in o/table.npz" in output
     summary = json.loads((tmp_path / "o" / SUMMARY).read_text())
     assert not summary["complete"]
     assert summary["cycles"] >= 1

@@ -842,7 +842,7 @@ def test_a_run_is_recorded_and_replayed(run: Go, verb: str) -> None:
     """In the real worlds: files, provenance and bits are those of the run."""
     where = ("--on", "loop", "--out", "o", "--bag", "deep/bag")
     text = words_of(run(verb, "--cycles", 3, "--seed", 4, "--split-s", 0.5, *where))
-    assert "In deep/bag: the whole run; `ember replay deep/bag` runs it again" in text
+    assert "In deep/bag: the whole run; `ember replay deep/bag` repeats it" in text
     files = sorted(file.name for file in Path("deep/bag").iterdir())
     assert files[:-1] == [f"bag_{n}.mcap" for n in range(len(files) - 1)]
     assert files[-1] == METADATA

@@ -68,7 +68,7 @@ def test_the_help_of_ember_needs_click_alone() -> None:
     """So that it is there at once: no command is imported, and nothing that one needs."""
     done = without("rich,numpy,yaml,matplotlib,mcap", RUN, "ember_ros", "--help")
     assert (done.returncode, done.stderr) == (0, "")
-    assert "Let four legs carry a body, still learning." in done.stdout
+    assert "Walk with four legs that carry a body and continue to learn." in done.stdout
 
 
 @pytest.mark.parametrize("node", NODES)
