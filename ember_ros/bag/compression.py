@@ -10,8 +10,8 @@ from ember_ros.bag.guard import (
     MAX_TIMES,
 )
 from ember_ros.bag.storage import needs_rosbags
+from ember_ros.bounded_io import open_file
 from ember_ros.errors import shown
-from ember_ros.given import open_file
 
 ZSTD = b"\x28\xb5\x2f\xfd"
 """The first bytes of data that zstd has compressed."""

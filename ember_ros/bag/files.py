@@ -23,6 +23,7 @@ from ember_ros.bag.mcap_file import Mcap
 from ember_ros.bag.messages import Connection, Key, Message, Source
 from ember_ros.bag.sqlite3_file import Sqlite3
 from ember_ros.bag.storage import METADATA, STORAGES, VERSION, read_metadata
+from ember_ros.bounded_io import open_file
 from ember_ros.errors import BagError, shown
 
 _SQLITE = b"SQLite format 3\0"

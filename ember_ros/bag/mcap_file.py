@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, NamedTuple
 from ember_ros.bag.compression import plain, unpack
 from ember_ros.bag.guard import MAX_BYTES, MAX_RECORDS, MAX_REPORTED, MAX_TIMES, check_topics
 from ember_ros.bag.messages import Connection, Key, Message, Source
-from ember_ros.given import open_file
+from ember_ros.bounded_io import open_file
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")

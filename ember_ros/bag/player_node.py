@@ -88,7 +88,7 @@ class PlayerNode(Node):  # type: ignore[misc]
         makers = (topics.command, topics.transition)
         left_out = {absolute(bag.namespace, make(leg).name) for leg in live for make in makers}
         self._bag_publishers: dict[str, Any] = {}
-        self._seats: list[Seat] = []
+        self._locks: list[NameLock] = []
         for topic, connection in bag.connections.items():
             if topic in left_out or not topic.startswith(prefix) or topic.startswith(others):
                 continue
@@ -104,7 +104,7 @@ class PlayerNode(Node):  # type: ignore[misc]
             try:
                 named = topics.Topic(topic, connection.msgtype)
                 self._bag_publishers[topic] = named.publish(self)
-                self._seats.append(self._seat(topic))
+                self._locks.append(self._lock(topic))
             except (ImportError, AttributeError, ValueError):
                 self.get_logger().warning(
                     f"{topic} is left out: {connection.msgtype} is not installed here"
@@ -133,11 +133,11 @@ class PlayerNode(Node):  # type: ignore[misc]
         tick_s = bag.params.gait.tick_s
         self.create_timer(min(max(tick_s / rate / 2, SHORTEST_S), LONGEST_S), self._turn)
 
-    def _seat(self, topic: str) -> Seat:
-        """Take the seat of a topic's publisher, so that no robot starts beside the recorded one."""
+    def _lock(self, topic: str) -> NameLock:
+        """Lock the name of a topic's publisher, so that no robot starts beside the recorded one."""
         try:
-            return Seat(self.context.get_domain_id(), topic, self.get_fully_qualified_name())
-        except TakenError as error:
+            return NameLock(self.context.get_domain_id(), topic, self.get_fully_qualified_name())
+        except NameTakenError as error:
             taken = str(error).partition(";")[0]
             raise BagError(
                 f"a robot is running here: {taken}; stop it, or play in another ROS_DOMAIN_ID"

@@ -74,7 +74,7 @@ def replay_command(
         if table_file is not None:
             save_table(table_file, done.table, opened.params, 0)
             console.print(f"In {table_file}: the table at the end")
-    console.print(grid(replay.told(done, opened.params.gait.tick_s)))
+    console.print(grid(replay.describe(done, opened.params.gait.tick_s)))
     if done.missing:
         console.print(f"The record ends early: {done.missing}.")
     if done.difference is not None:
@@ -270,8 +270,8 @@ def relearn_command(
         "start_table": str(table) if table else None,
     }
     relearn.write(learnt, out, request)
-    console.print(grid(relearn.told(learnt)))
-    console.print(f"In {out}: {', '.join(relearn.LEFT)}")
+    console.print(grid(relearn.describe(learnt)))
+    console.print(f"In {out}: {', '.join(relearn.OUTPUTS)}")
     new = f"--table {out / relearn.TABLE} --params {out / relearn.PARAMS}"
     console.print(f"ember walk {new}")
 
