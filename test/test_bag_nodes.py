@@ -542,7 +542,7 @@ def test_a_leg_of_others_making_is_recorded_and_not_replayed(
     ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, services: bool
 ) -> None:
     """The bag says why it cannot be replayed, in the log and when it is tried; learning works."""
-    monkeypatch.setattr(sim_module, "ANSWER_S", 0.5)
+    monkeypatch.setattr(sim_module, "METADATA_S", 0.5)
     said = warnings(ros)
     robot = robot_of(ros, config(2), without=["leg_rear_left"])
     robot.nodes["other"] = ros.add(
