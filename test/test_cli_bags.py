@@ -191,7 +191,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Made]:
         ("bag", ("info", "csv", "repair")),
         ("bag info", ("--namespace", "--cycles", "--json")),
         ("bag csv", ("--namespace", "--out", "out/csv", "pandas")),
-        ("bag repair", ("BAG", "cut off", "metadata.yaml")),
+        ("bag repair", ("BAG", "interrupted", "metadata.yaml")),
         ("walk", ("--bag", "--split-s", "--split-mb")),
         ("train", ("--bag", "--split-s", "--split-mb")),
     ],
@@ -506,7 +506,7 @@ def test_replay_comes_out_equal(run: Go, walked: Made) -> None:
     assert "In again.npz: the table at the end" in text
     assert load_table(Path("again.npz"), PARAMS)[0].sha256() == walked.table
     before = Path("again.npz").read_bytes()
-    assert "is there already" in run("replay", walked.bag, "--table", "again.npz", code=2)
+    assert "exists already" in run("replay", walked.bag, "--table", "again.npz", code=2)
     assert Path("again.npz").read_bytes() == before
 
 

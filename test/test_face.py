@@ -475,7 +475,7 @@ def test_saving_replaces_nothing_unasked(tmp_path: Path) -> None:
     assert er.load(tmp_path).config.seed == 2
     assert not list(tmp_path.glob(".*"))
     (tmp_path / "file").write_text("")
-    with pytest.raises(ParameterError, match=r"cannot make the folder"):
+    with pytest.raises(ParameterError, match=r"cannot create the folder"):
         first.save(tmp_path / "file")
 
 

@@ -383,7 +383,9 @@ def test_no_pair_is_lost_or_doubled_when_the_table_is_killed(ros: Ros, tmp_path:
             fleet.kill("table_node")
             fleet.start("table_node")
             fleet.until(
-                lambda life=life: fleet.log("table_node").read_text().count("taken up") == life,  # type: ignore[misc]
+                lambda life=life: (
+                    fleet.log("table_node").read_text().count("recovered after") == life
+                ),  # type: ignore[misc]
                 f"life {life + 1} of the table",
             )
             fleet.until_it_walks_on()
