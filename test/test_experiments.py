@@ -260,8 +260,8 @@ def alive(group: int) -> list[str]:
 @pytest.mark.parametrize(
     ("number", "words", "says"),
     [
-        (signal.SIGINT, ("fig5", "--seeds", "2"), "what was run is in out/trials"),
-        (signal.SIGHUP, ("fig5", "--seeds", "2"), "what was run is in out/trials"),
+        (signal.SIGINT, ("fig5", "--seeds", "2"), "finished runs are in out/trials"),
+        (signal.SIGHUP, ("fig5", "--seeds", "2"), "finished runs are in out/trials"),
         (signal.SIGINT, ("relearn", "--cycles", "1000000"), "after 0 of 5 seeds"),
     ],
 )
@@ -502,7 +502,7 @@ def test_all_experiments_in_small(
     for file in (*results.glob("*.md"), *results.glob("*.png"), tmp_path / DOCUMENT):
         file.unlink()
     assert ember("experiment", "all", "--redraw", "--out", tmp_path) == 0
-    assert "not what this version" not in "".join(capfd.readouterr())
+    assert "this version would give other results" not in "".join(capfd.readouterr())
     assert {file: file.read_bytes() for file in results.iterdir()} == before
     assert (tmp_path / DOCUMENT).read_text() == page
     # Its pictures were drawn twice, to the same bytes.
@@ -538,7 +538,7 @@ def test_results_of_other_code_are_told_apart(
     file.write_text(json.dumps(other))
     capfd.readouterr()
     assert ember("experiment", "fig5", "--redraw", "--out", tmp_path) == 0
-    assert "fig5: not what this version" in capfd.readouterr().out
+    assert "fig5: this version would give other results" in capfd.readouterr().out
 
 
 @pytest.mark.slow
