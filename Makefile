@@ -14,16 +14,16 @@ PYTHON ?= $(shell for python in python3.11 python3.12 python3.13 python3.10 pyth
 unexport PYTHONPATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # Where ROS looks for packages, as it does not look at Python's prefix.
-demo test bench fuzz: export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
+demo test test-fast bench fuzz: export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
 # rclpy needs a folder it can write to, and no other machine has a part in this.
 export ROS_LOG_DIR ?= $(CURDIR)/out/log
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help venv demo test lint bench fuzz clean
+.PHONY: help venv demo test test-fast lint matrix bench fuzz clean
 
 help: ## list the targets (the default)
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 8
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 12
 
 venv: $(STAMP) ## make .venv and install the package into it, editable
 
@@ -47,10 +47,16 @@ demo: $(STAMP) ## train a leg, let four of them walk, write what came of it to o
 test: $(STAMP) ## run the tests
 	$(VENV)/bin/python -m pytest -n auto --dist worksteal
 
+test-fast: $(STAMP) ## run the tests that are not slow
+	$(VENV)/bin/python -m pytest -n auto --dist worksteal -m "not slow"
+
 lint: $(STAMP) ## ruff and mypy
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
+
+matrix: ## try every Python 3.10 to 3.13 that is here, with the lowest and the newest versions
+	test/matrix.sh
 
 bench: $(STAMP) ## measure the speed
 	$(VENV)/bin/ember bench

@@ -17,11 +17,19 @@ setup(
     maintainer="ember_ros maintainers",
     maintainer_email="ember_ros@example.org",
     python_requires=">=3.10",
-    packages=find_packages(include=["ember_ros*", "sim_node*", "leg_node*", "cpg_node*"]),
+    packages=[
+        *find_packages(include=["ember_ros*", "sim_node*", "leg_node*", "cpg_node*"]),
+        "ember_ros.data",
+    ],
+    package_dir={"ember_ros.data": "bags"},
     # Only what is named: launch files and wrappers go to share/ and lib/; parameter files are read
-    # by `ember` from the package, and by `ros2 run` from share/.
+    # by `ember` from the package, and by `ros2 run` from share/; data/ by both from the package.
     include_package_data=False,
-    package_data={"ember_ros": ["config/*.yaml"]},
+    package_data={
+        "ember_ros": ["config/*.yaml", "py.typed"],
+        "ember_ros.data": ["*", "walk/*"],
+        **{room: ["py.typed"] for room in ("sim_node", "leg_node", "cpg_node")},
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["ember_ros/resource/ember_ros"]),
         ("share/ember_ros", ["package.xml"]),
@@ -30,14 +38,5 @@ setup(
         ("lib/ember_ros", sorted(glob("ember_ros/resource/lib/*"))),
     ],
     zip_safe=False,
-    entry_points={
-        "console_scripts": [
-            "ember = ember_ros.entry_points:ember",
-            "sim_node = ember_ros.entry_points:sim_node",
-            "leg_node = ember_ros.entry_points:leg_node",
-            "cpg_node = ember_ros.entry_points:cpg_node",
-            "table_node = ember_ros.entry_points:table_node",
-            "recorder_node = ember_ros.entry_points:recorder_node",
-        ]
-    },
+    entry_points={"console_scripts": ["ember = ember_ros.entry_points:ember"]},
 )

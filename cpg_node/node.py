@@ -8,58 +8,100 @@ from typing import Any
 
 from rclpy.node import Node
 
-from cpg_node.cpg import FixedPeriod
-from ember_ros import topics, wire
+from cpg_node.cpg import Beats
+from ember_ros import cdr, parts, topics, wire
 from ember_ros.errors import SignalError
-from ember_ros.ros_params import declare_params
-from ember_ros.seat import Seated
-from ember_ros.spinning import main_of
+from ember_ros.inbox import Inbox
+from ember_ros.name_lock import SingleNode
+from ember_ros.ros_params import declare_options, declare_params
+from ember_ros.spinning import node_main
+from ember_ros.worlds import legs_of
 
 
-class CpgNode(Seated, Node):  # type: ignore[misc]
-    """Hears the clock, says the phase.
+class CpgNode(SingleNode, Node):  # type: ignore[misc]
+    """The central pattern generator: publishes the phase of the gait at every tick.
 
-    Subscribes: ``clock`` (rosgraph_msgs/Clock).
-    Publishes: ``cpg/phase`` (std_msgs/Float64), cycles since the start.
-    Parameters: ``gait.*``.
+    Subscribes: ``clock`` (rosgraph_msgs/Clock); for an oscillator with feedback also
+    ``<leg>/joint_states`` and ``<leg>/contact`` (sensor_msgs/JointState) of all legs.
+    Publishes: ``cpg/phase`` (sensor_msgs/JointState): stamp, and cycles since the start.
+    Parameters: ``gait.*``, ``robot.*``, ``parts.*``; ``world``.
     """
 
-    GROUPS = ("gait",)
-    OPTIONS = ()
+    GROUPS = ("gait", "robot", "parts")
+    OPTIONS = ("world",)
 
     def __init__(self, **kwargs: Any) -> None:
         """Make the node; ``kwargs`` go to rclpy's ``Node``.
 
         Raises:
-            ParameterError: a parameter is unknown or out of range.
-            TakenError: there is another CPG in this namespace.
+            ParameterError: a parameter is unknown or out of range, or the oscillator cannot be
+                imported.
+            NameTakenError: there is another CPG in this namespace.
         """
         super().__init__("cpg_node", automatically_declare_parameters_from_overrides=True, **kwargs)
         self.done = False
         params = declare_params(self, self.GROUPS)
-        self.take_seat(topics.PHASE)
-        self._oscillator = FixedPeriod(params.gait)
-        self._said: float | None = None
+        options = declare_options(self, self.OPTIONS)
+        self.lock_name(topics.PHASE)
+        self._tick_ns = params.gait.tick_ns
+        self._beats = Beats(parts.make(params, "cpg", params))
+        self._wire = wire.BeatWire(self._tick_ns)
+        self._last = -1
         self._publisher = topics.PHASE.publish(self)
-        topics.CLOCK.subscribe(self, self._hear)
+        self._senses: dict[str, wire.SenseWire] = {}
+        if self._beats.hears_legs:
+            legs = legs_of(options["world"], params)
+            self._senses = {leg: wire.SenseWire(leg, self._tick_ns) for leg in legs}
+        sources = [f"{leg} {part}" for leg in self._senses for part in ("joints", "contact")]
+        self._inbox = Inbox("clock", *sources)
+        topics.CLOCK.subscribe(self, self._on_clock)
+        for leg, senses in self._senses.items():
+            joints, contact = f"{leg} joints", f"{leg} contact"
+            topics.joint_states(leg).subscribe(self, self._on_sense(joints, senses.read_joints))
+            topics.contact(leg).subscribe(self, self._on_sense(contact, senses.read_contact))
 
-    def _hear(self, data: bytes) -> None:
+    def _on_sense(
+        self, source: str, read: Callable[[bytes], tuple[int, Any]]
+    ) -> Callable[[bytes], None]:
+        return lambda data: self._receive(source, data, read)
+
+    def _on_clock(self, data: bytes) -> None:
+        self._receive("clock", data, self._read_clock)
+
+    def _read_clock(self, data: bytes) -> tuple[int, None]:
+        # A time between two ticks belongs to the tick that has started.
+        return cdr.read_clock(data, topics.CLOCK.name) // self._tick_ns, None
+
+    def _receive(self, source: str, data: bytes, read: Callable[[bytes], tuple[int, Any]]) -> None:
         try:
-            phase = self._oscillator.phase(wire.read_clock(data, topics.CLOCK.name))
+            tick, value = read(data)
         except SignalError as why:
             self.get_logger().warning(f"refused: {why}", throttle_duration_sec=5.0)
             return
-        if phase != self._said:  # once a tick, however often the clock is told
-            self._said = phase
-            self._publisher.publish(wire.pack_phase(phase))
+        if self._inbox.put(source, tick, value) or self._inbox.time_restarted():
+            self._publish(tick)
+
+    def _publish(self, tick: int) -> None:
+        """Publish the beat of a tick if all messages that it depends on have arrived."""
+        values = self._inbox.pop(tick)
+        if values is None:
+            return
+        _, *sense_parts = values
+        feedback = [
+            senses.sense(tick, joints, contact)
+            for senses, joints, contact in zip(
+                self._senses.values(), sense_parts[::2], sense_parts[1::2], strict=True
+            )
+        ]
+        self._publisher.publish(self._wire.pack(self._beats.at(tick, feedback)))
 
     def finish(self, spin: Callable[[], None]) -> None:
-        """Nothing to bring home."""
+        """Do nothing: there is nothing to save."""
 
 
 def main(args: list[str] | None = None) -> None:
     """Run the node until a signal."""
-    sys.exit(main_of(CpgNode, args))
+    sys.exit(node_main(CpgNode, args))
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ learners that come with the package are measured so too, by the CPU time of all 
 from __future__ import annotations
 
 import itertools
+import json
 import statistics
 import tempfile
 import time
@@ -15,19 +16,21 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ember_ros import calls, wire
+from ember_ros import cdr, wire
 from ember_ros.bag.storage import BagOptions
 from ember_ros.graph import Graph, processes
 from ember_ros.loop import Loop
 from ember_ros.params import Params, cells_sha256
 from ember_ros.params_file import load_params
-from ember_ros.plan import WORLDS, Plan, make_world
-from ember_ros.report.recorder import Recorder
+from ember_ros.report.run_statistics import RunStatistics
 from ember_ros.run import TABLE
-from ember_ros.signals import BodyState, LegCommand, LegSense, Pair, Phase, Transition
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, TDUpdate, Transition
 from ember_ros.versions import provenance, versions
-from leg_node.shared import Push, SharedTable
-from leg_node.table import empty_table
+from ember_ros.worlds import WORLDS, make_world
+from leg_node import calls
+from leg_node.assembly import empty_table
+from leg_node.shared import SharedTable, UpdateBatch
 from leg_node.table_file import save_table
 
 Say = Callable[[str], None]
@@ -41,12 +44,12 @@ class _Tape:
 
     def __init__(self) -> None:
         self.ticks: list[
-            tuple[Phase, tuple[LegSense, ...], tuple[LegCommand, ...], tuple[Transition, ...]]
+            tuple[Beat, tuple[LegSense, ...], tuple[LegCommand, ...], tuple[Transition, ...]]
         ] = []
 
     def tick(
         self,
-        phase: Phase,
+        beat: Beat,
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
@@ -55,7 +58,7 @@ class _Tape:
         """Keep one tick."""
         asked = tuple(c for c in commands if c is not None)
         paid = tuple(t for t in transitions if t is not None)
-        self.ticks.append((phase, tuple(senses), asked, paid))
+        self.ticks.append((beat, tuple(senses), asked, paid))
 
 
 def bench(
@@ -75,17 +78,17 @@ def bench(
         folder = Path(name)
         say(f"training {train_cycles} cycles by the loop")
         training_s = _train(params, train_cycles, folder / TABLE)
-        plan = Plan("walker", cycles, params=params, table=folder / TABLE)
-        tape, falls = _tape(plan)
+        config = RunConfig("walker", cycles, params=params, table=folder / TABLE)
+        tape, falls = _tape(config)
         bags = itertools.count()
         ways: dict[str, Callable[[], float]] = {
-            "physics": lambda: _physics(plan, tape),
-            "loop": lambda: _loop(plan, record=False),
-            "loop, recorded": lambda: _loop(plan, record=True),
-            "graph": lambda: _graph(plan, None),
-            "graph, with a bag": lambda: _graph(plan, folder / f"bag{next(bags)}"),
-            "processes": lambda: _processes(plan, folder / "processes"),
-            "conversion": lambda: _conversion(plan, tape),
+            "physics": lambda: _physics(config, tape),
+            "loop": lambda: _loop(config, record=False),
+            "loop, recorded": lambda: _loop(config, record=True),
+            "graph": lambda: _graph(config, None),
+            "graph, with a bag": lambda: _graph(config, folder / f"bag{next(bags)}"),
+            "processes": lambda: _processes(config, folder / "processes"),
+            "conversion": lambda: _conversion(config, tape),
         }
         times: dict[str, list[float]] = {way: [] for way in ways}
         for turn in range(repeats):
@@ -128,13 +131,13 @@ def bench(
 
 
 def _train(params: Params, cycles: int, file: Path) -> float:
-    plan = Plan("trainer", cycles, params=params)
-    loop, recorder = Loop(plan), Recorder(params, plan.legs)
+    config = RunConfig("trainer", cycles, params=params)
+    loop, recorder = Loop(config), RunStatistics(params, config.legs)
     began = time.perf_counter()
-    for _ in range(plan.cycles * params.gait.ticks):
+    for _ in range(config.cycles * params.gait.ticks):
         loop.tick(recorder)
     took = time.perf_counter() - began
-    save_table(file, loop.finish(), params, plan.seed)
+    save_table(file, loop.finish(), params, config.seed)
     loop.close()
     return took
 
@@ -146,20 +149,20 @@ def _learning(
 
     Legs of a walker start from what a leg with the same learner was trained to.
     """
-    plans: dict[tuple[str, str], Plan] = {}
+    configs: dict[tuple[str, str], RunConfig] = {}
     for learner, files in LEARNERS.items():
         params, table = load_params(*files), folder / f"{learner}.npz"
         _train(params, train_cycles, table)
-        plans["trainer", learner] = Plan("trainer", cycles, params=params)
-        plans["walker", learner] = Plan("walker", cycles, params=params, table=table)
-    times: dict[tuple[str, str], list[float]] = {each: [] for each in plans}
+        configs["trainer", learner] = RunConfig("trainer", cycles, params=params)
+        configs["walker", learner] = RunConfig("walker", cycles, params=params, table=table)
+    times: dict[tuple[str, str], list[float]] = {each: [] for each in configs}
     for _ in range(repeats):
-        for each, plan in plans.items():
-            times[each].append(_loop(plan, record=False, clock=time.process_time))
+        for each, config in configs.items():
+            times[each].append(_loop(config, record=False, clock=time.process_time))
     found: dict[str, dict[str, float]] = {}
     for world in WORLDS:
         ember, plain = (times[world, learner] for learner in LEARNERS)
-        ticks = cycles * plans[world, "ember"].params.gait.ticks
+        ticks = cycles * configs[world, "ember"].params.gait.ticks
         found[world] = {
             "ember_us": 1e6 * statistics.median(ember) / ticks,
             "plain_us": 1e6 * statistics.median(plain) / ticks,
@@ -168,39 +171,41 @@ def _learning(
     return found
 
 
-def _tape(plan: Plan) -> tuple[_Tape, int]:
-    tape, loop = _Tape(), Loop(plan)
-    for _ in range(plan.cycles * plan.params.gait.ticks):
+def _tape(config: RunConfig) -> tuple[_Tape, int]:
+    tape, loop = _Tape(), Loop(config)
+    for _ in range(config.cycles * config.params.gait.ticks):
         loop.tick(tape)
     falls = loop.world.body().falls
     loop.close()
     return tape, falls
 
 
-def _physics(plan: Plan, tape: _Tape) -> float:
+def _physics(config: RunConfig, tape: _Tape) -> float:
     """Drive the motors as the loop did, and sense nothing."""
-    world: Any = make_world(plan.world, plan.params, plan.seed)
+    world: Any = make_world(config.world, config.params, config.seed)
     began = time.perf_counter()
-    for phase, _, commands, _ in tape.ticks:
-        world.coast(phase, commands)
+    for beat, _, commands, _ in tape.ticks:
+        world.coast(beat, commands)
     took = time.perf_counter() - began
     world.close()
     return took
 
 
-def _loop(plan: Plan, *, record: bool, clock: Callable[[], float] = time.perf_counter) -> float:
-    loop = Loop(plan)
-    recorders = [Recorder(plan.params, plan.legs)] if record else []
+def _loop(
+    config: RunConfig, *, record: bool, clock: Callable[[], float] = time.perf_counter
+) -> float:
+    loop = Loop(config)
+    recorders = [RunStatistics(config.params, config.legs)] if record else []
     began = clock()
-    for _ in range(plan.cycles * plan.params.gait.ticks):
+    for _ in range(config.cycles * config.params.gait.ticks):
         loop.tick(*recorders)
     took = clock() - began
     loop.close()
     return took
 
 
-def _graph(plan: Plan, bag: Path | None) -> float:
-    graph = Graph(plan, bag=BagOptions(bag) if bag else None)
+def _graph(config: RunConfig, bag: Path | None) -> float:
+    graph = Graph(config, bag=BagOptions(bag) if bag else None)
     while not graph.sim.recorder.traces:  # up to the first tick: matching is not a tick's cost
         graph.spin_once()
     began = time.perf_counter()
@@ -211,15 +216,15 @@ def _graph(plan: Plan, bag: Path | None) -> float:
     return took
 
 
-def _processes(plan: Plan, out: Path) -> float:
+def _processes(config: RunConfig, out: Path) -> float:
     """Measure from the first whole cycle to the last: the start of seven Pythons is no tick."""
-    with processes(plan, out) as running:
+    with processes(config, out) as running:
         marks: list[tuple[float, int]] = []
 
         def watch() -> bool:
             file = out / "cycles.csv"
             lines = file.read_bytes().count(b"\n") if file.exists() else 0
-            done = max(0, lines - 1) // (len(plan.legs) + 1)
+            done = max(0, lines - 1) // (len(config.legs) + 1)
             if done and (not marks or marks[-1][1] != done):
                 marks.append((time.perf_counter(), done))
             return True
@@ -227,27 +232,28 @@ def _processes(plan: Plan, out: Path) -> float:
         running.wait(watch)
     (out / "cycles.csv").unlink()
     (began, first), (ended, last) = marks[0], marks[-1]
-    return (ended - began) * plan.cycles / (last - first)
+    return (ended - began) * config.cycles / (last - first)
 
 
-def _conversion(plan: Plan, tape: _Tape) -> float:
+def _conversion(config: RunConfig, tape: _Tape) -> float:
     """Write and read every message of every tick, and send none."""
-    gait = plan.params.gait
-    senses = [wire.SenseWire(leg, gait.tick_ns) for leg in plan.legs]
-    commands = [wire.CommandWire(leg, gait.tick_ns) for leg in plan.legs]
-    transitions = [wire.TransitionWire(leg, gait.tick_ns) for leg in plan.legs]
+    gait = config.params.gait
+    senses = [wire.SenseWire(leg, gait.tick_ns) for leg in config.legs]
+    commands = [wire.CommandWire(leg, gait.tick_ns) for leg in config.legs]
+    transitions = [wire.TransitionWire(leg, gait.tick_ns) for leg in config.legs]
     began = time.perf_counter()
-    for phase, felt, asked, paid in tape.ticks:
-        ns = wire.read_clock(wire.pack_clock(felt[0].tick * gait.tick_ns), "clock")
-        told = wire.pack_phase(phase)
-        wire.read_phase(told, gait.ticks, "phase")
+    beats = wire.BeatWire(gait.tick_ns)
+    for beat, felt, asked, paid in tape.ticks:
+        ns = cdr.read_clock(cdr.pack_clock(felt[0].tick * gait.tick_ns), "clock")
+        told = beats.pack(beat)
+        beats.read(told)
         for sense_wire, command_wire, transition_wire, sense, command, did in zip(
             senses, commands, transitions, felt, asked, paid, strict=True
         ):
             joints, contact = sense_wire.pack(sense)
             tick, first = sense_wire.read_joints(joints)
             sense_wire.sense(tick, first, sense_wire.read_contact(contact)[1])
-            wire.read_phase(told, gait.ticks, "phase")
+            beats.read(told)
             command_wire.read(command_wire.pack(command))
             transition_wire.read(transition_wire.pack(did))
     assert ns == (len(tape.ticks) - 1) * gait.tick_ns
@@ -259,7 +265,7 @@ def _table_memory(params: Params, epochs: int) -> dict[str, int]:
     import tracemalloc
 
     cells = cells_sha256(params)
-    shared = SharedTable(empty_table(params), cells=cells, rate=params.walk.rate)
+    shared = SharedTable(empty_table(params), legs=4, cells=cells, rate=params.walk.rate)
     ticks, size = params.gait.ticks, len(shared.table)
     early = max(1, epochs // 10)
     seen: dict[str, int] = {}
@@ -268,10 +274,10 @@ def _table_memory(params: Params, epochs: int) -> dict[str, int]:
         for epoch in range(epochs):
             for leg in range(4):
                 start = 7919 * (4 * epoch + leg)
-                pairs = tuple(
-                    Pair(epoch * ticks + n, (start + 31 * n) % size, 1.0) for n in range(8)
+                updates = tuple(
+                    TDUpdate(epoch * ticks + n, (start + 31 * n) % size, 1.0) for n in range(8)
                 )
-                push = Push(leg, f"run{epoch // 1000}", epoch, cells, pairs)
+                push = UpdateBatch(leg, f"run{epoch // 1000}", epoch, cells, updates)
                 shared.push(calls.read_push(calls.write_push(push)))
             for _ in range(4):
                 shared.pull(shared.version, epoch)
@@ -324,3 +330,11 @@ def page(found: dict[str, Any], command: str) -> str:
         "|---|---|",
     ]
     return "\n".join([*head, *(f"| {name} | {figure} |" for name, figure in lines(found))]) + "\n"
+
+
+def write(found: dict[str, Any], out: Path, command: str) -> list[str]:
+    """Write the page and the numbers into a folder, and return the names of the files."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "bench.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    (out / "bench.md").write_text(page(found, command), encoding="utf-8")
+    return ["bench.md", "bench.json"]

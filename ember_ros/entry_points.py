@@ -1,6 +1,6 @@
-"""The console scripts, so light that Ctrl-C is heard while everything else is imported.
+"""The console scripts: they import little, so that Ctrl-C works while the rest is imported.
 
-What is not installed is named in one line, with how to get it.
+A missing library is reported in one line, with the command that installs it.
 """
 
 from __future__ import annotations
@@ -10,6 +10,15 @@ import os
 import sys
 
 from ember_ros.errors import PIP, MissingError, no_ros
+
+NODES = {
+    "sim_node": "sim_node.node",
+    "leg_node": "leg_node.node",
+    "cpg_node": "cpg_node.node",
+    "table_node": "leg_node.table_node",
+    "recorder_node": "ember_ros.bag.recorder_node",
+}
+"""The module of each node, by the name for ``ember node`` and ``ros2 run``."""
 
 
 def _call(module: str) -> None:
@@ -23,47 +32,37 @@ def _call(module: str) -> None:
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)
-    except BrokenPipeError:  # `| head` has heard enough
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 1)
+    except BrokenPipeError:  # the reader, such as `| head`, has ended
+        with open(os.devnull, "wb") as devnull:
+            os.dup2(devnull.fileno(), 1)
 
 
 def _open_standard_streams() -> None:
-    """Open what was closed (``2>&-``): files that are opened later would be written into."""
+    """Open closed standard streams (``2>&-``); else a file opened later would get their number."""
     for number in (0, 1, 2):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number
     if sys.stderr is None:
         sys.stderr = os.fdopen(2, "w", closefd=False)
 
 
 def ember() -> None:
-    """Run the command line."""
-    _call("ember_ros.cli")
+    """Run the command line; ``ember node`` starts without the command line's own libraries."""
+    match sys.argv[1:]:
+        case ["node", name, *args] if name in NODES:
+            run_node(name, args)
+        case _:
+            _call("ember_ros.cli")
 
 
-def sim_node() -> None:
-    """Run the simulator."""
-    _call("sim_node.node")
+def run_node(name: str, args: list[str]) -> None:
+    """Run one of ``NODES`` in this process.
 
-
-def leg_node() -> None:
-    """Run a leg."""
-    _call("leg_node.node")
-
-
-def cpg_node() -> None:
-    """Run the central pattern generator."""
-    _call("cpg_node.node")
-
-
-def table_node() -> None:
-    """Run the table that legs share."""
-    _call("leg_node.table_node")
-
-
-def recorder_node() -> None:
-    """Run the recorder of bags."""
-    _call("ember_ros.bag.recorder_node")
+    Args:
+        name: its key in ``NODES``.
+        args: its arguments: ``--help``, or ``--ros-args`` and the ROS arguments.
+    """
+    sys.argv[1:] = args
+    _call(NODES[name])

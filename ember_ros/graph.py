@@ -1,6 +1,6 @@
-"""The same tick as nodes: all in this process, or one process a node.
+"""Runs a ``RunConfig`` as ROS nodes: all in this process, or one process per node.
 
-Both give the table and the record of the run; both end what they started, whatever happens.
+Both write the table and the record of the run. Both stop everything they started, whatever happens.
 """
 
 from __future__ import annotations
@@ -17,73 +17,91 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ember_ros.bag.storage import BagOptions
-from ember_ros.children import STOP_S, child_of
+from ember_ros.children import STOP_S, child_command
+from ember_ros.entry_points import NODES
 from ember_ros.errors import EmberError, GraphError
+from ember_ros.name_lock import (
+    NAME_TAKEN,
+    NameLock,
+    NameTakenError,
+    domain,
+    lock_robot,
+    wait_until_alone,
+)
 from ember_ros.params import as_dict, by_full_name
 from ember_ros.params_file import dump_params
-from ember_ros.plan import Plan
-from ember_ros.seat import TAKEN, Seat, TakenError, domain, make_sure, run_seat
-from ember_ros.spinning import TURN_S, prepare_environment
+from ember_ros.run_config import RunConfig
+from ember_ros.spinning import SPIN_S, prepare_environment
+from leg_node.table_file import load_table
 
 if TYPE_CHECKING:
-    from sim_node.world import World
+    from ember_ros.offline.replay import ReplayWorld
+    from ember_ros.worlds import World
+    from leg_node.table import Table
 
 PATIENCE_S = 60.0
-"""Wall time a graph started here waits for anybody: a busy machine must not change its bits."""
+"""Wall time that nodes started here wait for each other, s: a slow machine must not change bits."""
 
 
 def node_options(
-    plan: Plan,
+    config: RunConfig,
     out: Path | None = None,
     patience: float | None = None,
     bag: BagOptions | None = None,
 ) -> dict[str, dict[str, Any]]:
-    """Return the options of every node of a plan, by the node's name; ``leg_<leg>`` for legs."""
-    into = {} if bag is None else bag._asdict() | {"bag": str(bag.folder)}
-    into.pop("folder", None)
-    waits = {} if patience is None else {"patience": patience}
-    table_waits = {} if patience is None else {"table_patience": patience / 2}
+    """Return the options of every node of a run, by the node's name; ``leg_<leg>`` for legs.
+
+    Args:
+        config: what to run.
+        out: folder for the record and the table; None for none.
+        patience: wall time that nodes wait for each other, s; each node's default for None.
+        bag: the bag to record; None for none.
+    """
+    bag_options = {} if bag is None else bag._asdict() | {"bag": str(bag.folder)}
+    bag_options.pop("folder", None)
+    sim_patience = {} if patience is None else {"patience": patience}
+    leg_patience = {} if patience is None else {"table_patience": patience / 2}
     nodes: dict[str, dict[str, Any]] = {
         "table_node": {
-            "stage": plan.stage,
-            "table": str(plan.table) if plan.table else "",
+            "stage": config.stage,
+            "table": str(config.table) if config.table else "",
             "save": str(out / "table.npz") if out else "",
-            "seed": plan.seed,
+            "seed": config.seed,
         },
-        "cpg_node": {},
+        "cpg_node": {"world": config.world},
     }
-    for leg in plan.legs:
+    for leg in config.legs:
         nodes[f"leg_{leg}"] = {
             "leg": leg,
-            "stage": plan.stage,
-            "seed": plan.seed,
-            "policy": plan.policy,
-            "learning": plan.learning,
-            "start_cycle": plan.start_cycle,
-            **table_waits,
+            "stage": config.stage,
+            "seed": config.seed,
+            "policy": config.policy,
+            "learning": config.learning,
+            "start_cycle": config.start_cycle,
+            **leg_patience,
         }
     nodes["sim_node"] = {
-        "world": plan.world,
-        "cycles": plan.cycles,
-        "seed": plan.seed,
+        "world": config.world,
+        "cycles": config.cycles,
+        "seed": config.seed,
         "out": str(out) if out else "",
-        **waits,
-        **into,
+        **sim_patience,
+        **bag_options,
     }
     return nodes
 
 
-def _ending(name: str) -> int:
-    """Return a node's place in the order of ending, in which nothing learnt is lost."""
+def _shutdown_order(name: str) -> int:
+    """Return when a node ends: the sim first, then the legs, then the table that they push to."""
     return {"sim_node": 0, "table_node": 2}.get(name, 1)
 
 
 class Graph:
-    """All nodes of a plan in this process, on one executor."""
+    """All nodes of a run in this process, on one executor."""
 
     def __init__(
         self,
-        plan: Plan,
+        config: RunConfig,
         out: Path | None = None,
         *,
         namespace: str = "",
@@ -92,20 +110,20 @@ class Graph:
         world: World | None = None,
         context: Any = None,
     ) -> None:
-        """Make the nodes; nothing runs before ``run``.
+        """Create the nodes; nothing runs before ``run``.
 
         Args:
-            plan: what to run.
-            out: folder for the record and the table; nowhere for None.
-            namespace: of all nodes: another one is another robot.
-            patience: wall seconds to wait for anybody; each node's own default for None.
-            bag: where to record the run to; nowhere for None.
-            world: to run in; the one that the plan names for None.
-            context: an initialised rclpy context; one of its own for None.
+            config: what to run.
+            out: folder for the record and the table; None for none.
+            namespace: of all nodes; another namespace is another robot.
+            patience: wall time that nodes wait for each other, s; each node's default for None.
+            bag: the bag to record; None for none.
+            world: the world to run in; the one that ``config`` names for None.
+            context: an initialised rclpy context; a new one for None.
 
         Raises:
             EmberError: a parameter or the table cannot be used.
-            TakenError: another robot is running in this namespace.
+            NameTakenError: another robot is running in this namespace.
         """
         prepare_environment()
         import rclpy
@@ -128,24 +146,24 @@ class Graph:
                     "--ros-args",
                     "--log-level",
                     "warn",
-                ],  # a progress bar stands on this terminal
+                ],  # a progress bar uses this terminal
                 signal_handler_options=SignalHandlerOptions.NO,
             )
         self._context = context
         self._executor = EventsExecutor(context=context)
-        self._seat: Seat | None = None
-        makers = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
+        self._lock: NameLock | None = None
+        classes = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
         try:
-            self._seat = run_seat(context.get_domain_id(), namespace)
-            for name, options in node_options(plan, out, patience, bag).items():
-                make = makers.get(name, LegNode)
-                given = by_full_name(as_dict(plan.params)) | options
-                node = make(
+            self._lock = lock_robot(context.get_domain_id(), namespace)
+            for name, options in node_options(config, out, patience, bag).items():
+                node_class = classes.get(name, LegNode)
+                overrides = by_full_name(as_dict(config.params)) | options
+                node = node_class(
                     context=context,
                     namespace=namespace,
-                    parameter_overrides=[Parameter(n, value=v) for n, v in given.items()],
-                    **({"node_name": name} if make is LegNode else {}),
-                    **({"world": world} if make is SimNode else {}),
+                    parameter_overrides=[Parameter(n, value=v) for n, v in overrides.items()],
+                    **({"node_name": name} if node_class is LegNode else {}),
+                    **({"world": world} if node_class is SimNode else {}),
                 )
                 self.nodes[name] = node
                 self._executor.add_node(node)
@@ -158,31 +176,32 @@ class Graph:
         """Return the sim node."""
         return self.nodes["sim_node"]
 
-    def spin_once(self, timeout: float = TURN_S) -> None:
-        """Let callbacks run; an exception in one of them is raised here."""
+    def spin_once(self, timeout: float = SPIN_S) -> None:
+        """Run the next callback, if any; an exception in it is raised here."""
         self._executor.spin_once(timeout_sec=timeout)
 
     def run(self, go_on: Callable[[], bool] = lambda: True) -> None:
-        """Run until the plan's cycles are done or ``go_on`` says no, then finish every node.
+        """Run until all cycles are done or ``go_on`` returns False, then finish every node.
 
         Raises:
-            TakenError: somebody else on the graph is what one of the nodes is; nothing has run.
-            EmberError: a node could not end well; the others have.
+            NameTakenError: another node on the graph offers the same topic or service as one of
+                these nodes; nothing has run.
+            EmberError: a node could not finish; the others have finished.
         """
-        if self._own_context:  # or the caller knows who is on the graph
-            make_sure(list(self.nodes.values()), go_on)
+        if self._own_context:  # a caller with its own context knows what is on the graph
+            wait_until_alone(list(self.nodes.values()), go_on)
         while not self.sim.done and go_on():
             self.spin_once()
         self.finish()
 
     def finish(self) -> None:
-        """Bring what every leg has learnt into the shared table, and end the record.
+        """Push every leg's last updates into the shared table, and finish the record.
 
         Raises:
-            EmberError: a node could not end well; the others have.
+            EmberError: a node could not finish; the others have finished.
         """
         failed: list[EmberError] = []
-        for name in sorted(self.nodes, key=_ending):
+        for name in sorted(self.nodes, key=_shutdown_order):
             try:
                 self.nodes[name].finish(self.spin_once)
             except EmberError as error:
@@ -193,32 +212,50 @@ class Graph:
     def close(self) -> None:
         """Destroy all nodes."""
         for node in self.nodes.values():
-            self._executor.remove_node(node)  # or it would keep their endpoints alive
+            self._executor.remove_node(node)  # otherwise it keeps the node's endpoints alive
             node.destroy_node()
         self.nodes.clear()
-        if self._seat is not None:
-            self._seat.leave()
+        if self._lock is not None:
+            self._lock.release()
         self._executor.shutdown()
         if self._own_context:
             self._context.try_shutdown()
 
 
-# -- one process a node ----------------------------------------------------------------------
+def by_graph(
+    config: RunConfig,
+    world: ReplayWorld,
+    folder: Path,
+    go_on: Callable[[int], bool],
+    *,
+    namespace: str = "",
+) -> tuple[int, Table]:
+    """Run in a recorded world with real leg nodes, a table node and a CPG node.
 
-MODULES = {
-    "sim_node": "sim_node.node",
-    "cpg_node": "cpg_node.node",
-    "table_node": "leg_node.table_node",
-}
-LEG_MODULE = "leg_node.node"
+    It is a ``Runner`` for ``ember_ros.offline.replay``.
+
+    Raises:
+        EmberError: as ``Graph``.
+    """
+    graph = Graph(config, folder, world=world, namespace=namespace)
+    graph.sim.observers.append(world)
+    try:
+        graph.run(lambda: go_on(graph.sim.tick))
+        done = graph.sim.tick
+    finally:
+        graph.close()
+    return done, load_table(folder / "table.npz", config.params)[0]
+
+
+# -- one process a node ----------------------------------------------------------------------
 
 
 class Processes:
-    """Each node of a plan in a process of its own, as seven ``ros2 run`` would start them."""
+    """Each node of a run in its own process, as with seven ``ros2 run``."""
 
     def __init__(
         self,
-        plan: Plan,
+        config: RunConfig,
         out: Path,
         *,
         namespace: str = "",
@@ -228,30 +265,32 @@ class Processes:
         """Start the processes.
 
         Args:
-            plan: what to run.
-            out: folder for the record and the table; parameters and a log a node in ``log``.
+            config: what to run.
+            out: folder for the record and the table; ``log`` in it has the parameters and a log
+                per node.
             namespace: of all nodes.
-            patience: wall seconds to wait for anybody; each node's own default for None.
-            bag: where to record the run to; nowhere for None.
+            patience: wall time that nodes wait for each other, s; each node's default for None.
+            bag: the bag to record; None for none.
 
         Raises:
-            TakenError: another run is going on in this namespace.
+            NameTakenError: another robot is running in this namespace.
+            GraphError: ``out`` cannot be written.
         """
         prepare_environment()
-        self._seat = run_seat(domain(), namespace)
+        self._lock = lock_robot(domain(), namespace)
         self.out = out
         self._logs = out / "log"
         params = self._logs / "params.yaml"
         try:
             self._logs.mkdir(parents=True, exist_ok=True)
-            params.write_text(dump_params(plan.params), encoding="utf-8")
+            params.write_text(dump_params(config.params), encoding="utf-8")
         except OSError as error:
-            self._seat.leave()
+            self._lock.release()
             raise GraphError(
-                f"cannot write {error.filename}, for what the nodes are told and say: "
+                f"cannot write {error.filename}, for the nodes' parameters and logs: "
                 f"{error.strerror}"
             ) from error
-        nodes = node_options(plan, out, patience, bag)
+        nodes = node_options(config, out, patience, bag)
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         try:
             for name, options in nodes.items():
@@ -261,7 +300,7 @@ class Processes:
             raise
 
     def _start(self, name: str, options: dict[str, Any], params: Path, namespace: str) -> None:
-        command = [*child_of(MODULES.get(name, LEG_MODULE)), "--ros-args"]
+        command = [*child_command(NODES.get(name, NODES["leg_node"])), "--ros-args"]
         command += ["--params-file", str(params), "-r", f"__node:={name}"]
         if namespace:
             command += ["-r", f"__ns:=/{namespace.strip('/')}"]
@@ -269,7 +308,8 @@ class Processes:
             if value != "":
                 command += ["-p", f"{option}:={json.dumps(value)}"]
         with (self._logs / f"{name}.txt").open("wb") as log:
-            # A session of its own: Ctrl-C is for us, and we tell them in the right order.
+            # A new session, so that Ctrl-C reaches this process only, which then stops the nodes
+            # in the right order.
             self.processes[name] = subprocess.Popen(
                 command,
                 stdin=subprocess.PIPE,
@@ -280,16 +320,17 @@ class Processes:
             )
 
     def wait(self, go_on: Callable[[], bool] = lambda: True) -> None:
-        """Wait until the sim node has run its cycles or ``go_on`` says no.
+        """Wait until the sim node has run its cycles or ``go_on`` returns False.
 
         Raises:
-            GraphError: a node ended before its time.
+            NameTakenError: a node with the same name is running already.
+            GraphError: a node ended too early.
         """
         while self.processes["sim_node"].poll() is None and go_on():
             for name, process in self.processes.items():
                 if process.poll() is not None and name != "sim_node":
                     self._died(name, process)
-            time.sleep(TURN_S / 2)  # processes cannot be waited for on several at once
+            time.sleep(SPIN_S / 2)  # one cannot wait for several processes at once
         code = self.processes["sim_node"].poll()
         if code:
             self._died("sim_node", self.processes["sim_node"])
@@ -297,23 +338,25 @@ class Processes:
     def _died(self, name: str, process: subprocess.Popen[bytes]) -> None:
         log = self._logs / f"{name}.txt"
         last = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-3:]
-        if process.returncode == TAKEN:
-            raise TakenError(last[-1].removeprefix("error: "))
+        if process.returncode == NAME_TAKEN:
+            raise NameTakenError(last[-1].removeprefix("error: "))
         raise GraphError(
             f"{name} ended with code {process.returncode} before its time; its log {log} ends "
             f"with: {' / '.join(last) or 'nothing'}"
         )
 
     def stop(self) -> None:
-        """Stop all in an order in which nothing learnt is lost: sim, legs, and the table last."""
-        for _, group in itertools.groupby(sorted(self.processes, key=_ending), key=_ending):
+        """Stop the sim first, then the legs, then the table, so that no update is lost."""
+        for _, group in itertools.groupby(
+            sorted(self.processes, key=_shutdown_order), key=_shutdown_order
+        ):
             names = list(group)
             for name in names:
                 if self.processes[name].poll() is None:
                     self.processes[name].send_signal(signal.SIGINT)
             for name in names:
                 self._reap(name)
-        self._seat.leave()
+        self._lock.release()
 
     def _reap(self, name: str) -> None:
         process = self.processes[name]
@@ -327,9 +370,9 @@ class Processes:
 
 
 @contextmanager
-def processes(plan: Plan, out: Path, **options: Any) -> Iterator[Processes]:
-    """Run a plan as ``Processes`` with these options for as long as the block lasts."""
-    running = Processes(plan, out, **options)
+def processes(config: RunConfig, out: Path, **options: Any) -> Iterator[Processes]:
+    """Start ``Processes`` with these options, and stop them at the end of the block."""
+    running = Processes(config, out, **options)
     try:
         yield running
     finally:

@@ -5,31 +5,34 @@ The graph carries the same values in messages and must end with the same bits.
 
 from __future__ import annotations
 
-from cpg_node.cpg import FixedPeriod
+from cpg_node.cpg import Beats
+from ember_ros import parts
 from ember_ros.observer import Observer
 from ember_ros.params import cells_sha256
-from ember_ros.plan import Plan, make_world
-from ember_ros.signals import LegCommand, LegSense, Phase
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import Beat, LegCommand, LegSense
+from ember_ros.worlds import World, make_world
+from leg_node.assembly import empty_table, make_leg, numbers_of
 from leg_node.module import LegModule
 from leg_node.shared import SharedTable
-from leg_node.table import Table, empty_table
+from leg_node.table import Table
 from leg_node.table_file import load_table
-from sim_node.world import World
 
 
-def act(shared: SharedTable, leg: LegModule, sense: LegSense, phase: Phase) -> LegCommand:
+def act(shared: SharedTable, leg: LegModule, sense: LegSense, beat: Beat) -> LegCommand:
     """Let a leg have its tick, between the two ends of its epoch."""
     upto = leg.copy.pull_due(sense.tick)
     if upto is not None:
-        leg.copy.take(shared.pull(leg.copy.version, upto), upto)
-    command = leg.tick(sense, phase)
+        leg.copy.apply(shared.pull(leg.copy.version, upto), upto)
+    command = leg.tick(sense, beat)
     if leg.copy.close_epoch(sense.tick):
         _push(shared, leg)
     return command
 
 
-def hand_in(shared: SharedTable, leg: LegModule, last_tick: int) -> None:
+def flush(shared: SharedTable, leg: LegModule, last_tick: int) -> None:
     """Let a leg push what it learnt since its last epoch ended."""
+    leg.finish()
     leg.copy.close_epoch(last_tick, early=True)
     _push(shared, leg)
 
@@ -43,53 +46,53 @@ def _push(shared: SharedTable, leg: LegModule) -> None:
 class Loop:
     """One robot: a world, a central pattern generator, legs, and the table they share."""
 
-    def __init__(self, plan: Plan, world: World | None = None) -> None:
+    def __init__(self, config: RunConfig, world: World | None = None) -> None:
         """Build the robot of a plan, in ``world`` or in the one that the plan names.
 
         Raises:
             TableError: the plan's table cannot be used.
-            ParameterError: a leg or a policy does not exist.
+            ParameterError: a leg, a policy or a part does not exist.
         """
-        params = plan.params
-        table = load_table(plan.table, params)[0] if plan.table else empty_table(params)
-        numbers = params.walk if plan.stage == "walk" else params.train
-        self.shared = SharedTable(table, cells=cells_sha256(params), rate=numbers.rate)
+        params = config.params
+        table = load_table(config.table, params)[0] if config.table else empty_table(params)
+        numbers = numbers_of(params, config.stage)
+        self.shared = SharedTable(
+            table, legs=len(config.legs), cells=cells_sha256(params), rate=numbers.rate
+        )
         self.legs = [
-            LegModule(
+            make_leg(
                 params,
                 leg,
-                stage=plan.stage,
-                seed=plan.seed,
-                policy=plan.policy,
-                learning=plan.learning,
-                start_cycle=plan.start_cycle,
+                stage=config.stage,
+                seed=config.seed,
+                policy=config.policy,
+                learning=config.learning,
+                start_cycle=config.start_cycle,
             )
-            for leg in plan.legs
+            for leg in config.legs
         ]
-        self.cpg = FixedPeriod(params.gait)
-        self.world = world or make_world(plan.world, params, plan.seed)
+        self.beats = Beats(parts.make(params, "cpg", params))
+        self.world = world or make_world(config.world, params, config.seed)
         self.now = 0
         """The present tick."""
-        self._tick_ns = params.gait.tick_ns
 
     def tick(self, *observers: Observer) -> None:
         """Run one tick of the whole machine."""
         senses = self.world.observe()
-        phase = self.cpg.phase(self.now * self._tick_ns)
+        beat = self.beats.at(self.now, senses)
         commands = [
-            act(self.shared, leg, sense, phase)
-            for leg, sense in zip(self.legs, senses, strict=True)
+            act(self.shared, leg, sense, beat) for leg, sense in zip(self.legs, senses, strict=True)
         ]
         transitions = [leg.transition for leg in self.legs]
         for observer in observers:
-            observer.tick(phase, senses, commands, self.world.body(), transitions)
-        self.world.step(phase, commands)
+            observer.tick(beat, senses, commands, self.world.body(), transitions)
+        self.world.step(beat, commands)
         self.now += 1
 
     def finish(self) -> Table:
         """End the run: bring what every leg has learnt into the shared table, and return it."""
         for leg in self.legs:
-            hand_in(self.shared, leg, self.now - 1)
+            flush(self.shared, leg, self.now - 1)
         self.shared.merge()
         return self.shared.table
 

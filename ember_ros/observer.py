@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 
 
 class Observer(Protocol):
@@ -13,7 +13,7 @@ class Observer(Protocol):
 
     def tick(
         self,
-        phase: Phase,
+        beat: Beat,
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
@@ -22,10 +22,10 @@ class Observer(Protocol):
         """Take one complete tick.
 
         Args:
-            phase: of the central pattern generator.
+            beat: of the central pattern generator.
             senses: of each leg at the start of the tick.
             commands: of each leg for the tick; None of a leg that did not answer.
             body: at the start of the tick.
-            transitions: what each leg was paid for the tick before; None of a leg that did not say.
+            transitions: of each leg for the tick before; None of a leg that published none.
         """
         ...

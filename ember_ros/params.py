@@ -16,21 +16,40 @@ import dataclasses
 import hashlib
 import json
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 from ember_ros.errors import ParameterError, shown
 
-Value: TypeAlias = "float | int | bool | str | tuple[float, ...]"
+Value: TypeAlias = "float | int | bool | str | tuple[float, ...] | tuple[str, ...]"
 
-MOST_CELLS = 4_000_000
+TRAINER_LEG = "leg"
+"""The one leg of the trainer."""
+MAX_LEGS = 64
+MAX_CELLS = 4_000_000
 """Of a table: a hundred times those of the paper. A file can ask for more than any memory holds."""
 
 
 def num(default: Any, unit: str, doc: str, low: float = -math.inf, high: float = math.inf) -> Any:
     """Make a dataclass field with a unit, a meaning and an inclusive range."""
     return field(default=default, metadata={"unit": unit, "doc": doc, "low": low, "high": high})
+
+
+def text(default: str | tuple[str, ...], form: str, doc: str) -> Any:
+    """Make a dataclass field of text, or of a list of it, each of which must be of a form."""
+    return field(
+        default=default,
+        metadata={"unit": "text", "doc": doc, "low": -math.inf, "high": math.inf, "form": form},
+    )
+
+
+NAME, PATH = "name", "dotted path"
+_FORMS = {
+    NAME: (re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*"), "a name in lower case, as of a topic"),
+    PATH: (re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)+"), "a dotted path, package.module.Class"),
+}
 
 
 @dataclass(frozen=True)
@@ -42,11 +61,6 @@ class Gait:
     stance_share: float = num(0.75, "1", "share of the cycle in stance (3:1)", 0.1, 0.95)
     hip_front: float = num(0.70, "rad", "hip angle at the start of stance", -1.5, 1.5)
     hip_rear: float = num(-0.45, "rad", "hip angle at the end of stance", -1.5, 1.5)
-    offset_front_left: float = num(0.0, "cycle", "phase offset of this leg", 0.0, 1.0)
-    offset_front_right: float = num(0.5, "cycle", "phase offset of this leg", 0.0, 1.0)
-    offset_rear_left: float = num(0.5, "cycle", "phase offset of this leg", 0.0, 1.0)
-    offset_rear_right: float = num(0.0, "cycle", "phase offset of this leg", 0.0, 1.0)
-    offset_leg: float = num(0.0, "cycle", "phase offset of the trainer's leg", 0.0, 1.0)
 
     @property
     def tick_ns(self) -> int:
@@ -110,6 +124,10 @@ class Trainer:
     modulation: float = num(0.0, "m", "standard deviation of the stop's height; 0: fixed", 0.0, 1.0)
     stop_low: float = num(0.37, "m", "least height of a modulated stop", 0.0, 10.0)
     stop_high: float = num(0.50, "m", "largest height of a modulated stop", 0.0, 10.0)
+    tip_radius: float = num(0.08, "m", "of the load at the tip, a sphere", 0.001, 10.0)
+    hinge_max: float = num(
+        1.0, "rad", "largest angle of the hinge, up; without stop also down", 0.1, 1.5
+    )
     stop_slew: float = num(0.003, "m/tick", "fastest change of the stop's height", 0.0, 1.0)
 
 
@@ -127,6 +145,44 @@ class Walker:
     twist_torque: float = num(60.0, "N m", "largest torque of the twist motor", 0.0, 1000.0)
     fall_angle: float = num(0.6, "rad", "roll or pitch beyond this is a fall", 0.01, 3.2)
     fall_height: float = num(0.36, "m", "hips under this for a cycle are a fall", 0.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Robot:
+    """The walker's segments and legs; lists about legs have one entry a leg, in the same order."""
+
+    segments: tuple[str, ...] = text(
+        ("front", "rear"), NAME, "parts of the body from front to rear, joined by twist motors"
+    )
+    legs: tuple[str, ...] = text(
+        ("front_left", "front_right", "rear_left", "rear_right"),
+        NAME,
+        "names of the legs; their order is the order of everything that is done leg by leg",
+    )
+    segment: tuple[str, ...] = text(
+        ("front", "front", "rear", "rear"), NAME, "that each leg hangs on"
+    )
+    mount: tuple[float, ...] = num(
+        (0.5, 0.5, -0.5, -0.5), "body", "ahead of the body's middle, in lengths of it", -1.0, 1.0
+    )
+    side: tuple[float, ...] = num(
+        (1.0, -1.0, 1.0, -1.0), "1", "1: the left one, -1: the right one", -1.0, 1.0
+    )
+    offset: tuple[float, ...] = num(
+        (0.0, 0.5, 0.5, 0.0), "cycle", "phase offset of each leg", 0.0, 1.0
+    )
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Which class does what, by its dotted path; ``README.md`` tells how to swap one."""
+
+    cpg: str = text("cpg_node.cpg.FixedPeriod", PATH, "ticks -> phase")
+    gait: str = text("leg_node.gait.HipRamp", PATH, "beat and senses -> stance, goal of the hip")
+    discretizer: str = text("leg_node.discretizer.PaperDiscretizer", PATH, "senses -> state")
+    reward: str = text("leg_node.reward.PaperReward", PATH, "senses -> reward by term")
+    value: str = text("leg_node.value.paper_or_smoothed", PATH, "table -> values of a state")
+    learner: str = text("leg_node.learner.QLearning", PATH, "transitions -> updates of the table")
 
 
 @dataclass(frozen=True)
@@ -164,6 +220,14 @@ class Reward:
     force: float = num(-0.5, "1/load", "per load of peak force over the limit")
     force_limit: float = num(1.6, "load", "peak force that is free", 0.0)
     force_most: float = num(4.0, "load", "peak force over the limit counts up to this", 0.0)
+
+
+@dataclass(frozen=True)
+class Script:
+    """The knee written by hand, ``--policy scripted``: what a body can be walked with at all."""
+
+    swing_bend: float = num(1.4, "rad", "of the knee in swing: nearly all it has", 0.0, 3.0)
+    reach_ticks: int = num(3, "tick", "before stance, in which the knee is put down", 0, 1023)
 
 
 class Rate(NamedTuple):
@@ -218,8 +282,11 @@ class Params:
     physics: Physics = field(default_factory=Physics)
     trainer: Trainer = field(default_factory=Trainer)
     walker: Walker = field(default_factory=Walker)
+    robot: Robot = field(default_factory=Robot)
+    parts: Parts = field(default_factory=Parts)
     state: State = field(default_factory=State)
     reward: Reward = field(default_factory=Reward)
+    script: Script = field(default_factory=Script)
     train: Learning = field(default_factory=Learning)
     walk: Learning = field(default_factory=_walking)
 
@@ -241,6 +308,8 @@ class Spec(NamedTuple):
     doc: str
     low: float
     high: float
+    form: str = ""
+    """Of text: a key of the forms above."""
 
 
 def flat(params: Params) -> Iterator[tuple[str, Value]]:
@@ -259,7 +328,12 @@ def _specs() -> dict[str, Spec]:
         for each in dataclasses.fields(part):
             meta = each.metadata
             table[f"{group.name}.{each.name}"] = Spec(
-                getattr(part, each.name), meta["unit"], meta["doc"], meta["low"], meta["high"]
+                getattr(part, each.name),
+                meta["unit"],
+                meta["doc"],
+                meta["low"],
+                meta["high"],
+                meta.get("form", ""),
             )
     return table
 
@@ -308,19 +382,55 @@ def check(name: str, value: Any) -> Value:
             raise ParameterError(f"{name} must be a whole number [{spec.unit}], not {shown(item)}")
         return int(item) if whole else float(item)
 
+    def word(item: Any) -> str:
+        form, right = _FORMS[spec.form]
+        if not isinstance(item, str) or not form.fullmatch(item):
+            raise ParameterError(f"{name} must be {right}, not {shown(item)}")
+        return item
+
     if isinstance(spec.default, tuple):
         if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
-            raise ParameterError(
-                f"{name} must be a list of numbers [{spec.unit}], not {shown(value)}"
-            )
-        items = tuple(float(number(item, False)) for item in value)
-        if not items:
+            kind = "names" if spec.form else f"numbers [{spec.unit}]"
+            raise ParameterError(f"{name} must be a list of {kind}, not {shown(value)}")
+        listed = tuple(value)
+        if not listed:
             raise ParameterError(f"{name} must not be empty")
-        return items
+        if spec.form:
+            return tuple(map(word, listed))
+        return tuple(float(number(item, False)) for item in listed)
+    if spec.form:
+        return word(value)
     return number(value, isinstance(spec.default, int))
 
 
+def _check_robot(robot: Robot) -> None:
+    legs = len(robot.legs)
+    for name in ("segments", "legs"):
+        names = getattr(robot, name)
+        if len(set(names)) != len(names):
+            raise ParameterError(f"robot.{name} = {shown(names)} has a name twice")
+    for name in ("segment", "mount", "side", "offset"):
+        if len(getattr(robot, name)) != legs:
+            raise ParameterError(
+                f"robot.{name} has {len(getattr(robot, name))} entries; {legs}, one for each of "
+                "robot.legs, would be right"
+            )
+    if others := [name for name in robot.segment if name not in robot.segments]:
+        raise ParameterError(
+            f"robot.segment = {shown(others[0])} is none of robot.segments, "
+            f"{', '.join(robot.segments)}"
+        )
+    if any(abs(side) != 1.0 for side in robot.side):
+        raise ParameterError(f"robot.side = {shown(robot.side)} must be 1 or -1 for each leg")
+    if legs > MAX_LEGS or TRAINER_LEG in robot.legs:
+        raise ParameterError(
+            f"robot.legs = {shown(robot.legs)}: up to {MAX_LEGS} would be right, and none called "
+            f"{TRAINER_LEG!r}, which is the trainer's"
+        )
+
+
 def _check_together(p: Params) -> None:
+    _check_robot(p.robot)
     gait = p.gait
     if gait.ticks & (gait.ticks - 1):
         raise ParameterError(
@@ -354,13 +464,6 @@ def _check_together(p: Params) -> None:
         edges = getattr(p.state, name)
         if list(edges) != sorted(set(edges)):
             raise ParameterError(f"state.{name} = {shown(edges)} must rise strictly")
-    state = p.state
-    bins = state.hip_bins * (len(state.force_edges) + 1) * (len(state.inclination_edges) + 1) * 4
-    if bins * len(p.leg.knee_speeds) > MOST_CELLS:
-        raise ParameterError(
-            f"state.hip_bins, state.*_edges and leg.knee_speeds make a table of {bins} states x "
-            f"{len(p.leg.knee_speeds)} actions; up to {MOST_CELLS} cells would be right"
-        )
     if p.leg.operating_height >= p.leg.thigh_length + p.leg.shank_length:
         raise ParameterError(
             f"leg.operating_height = {p.leg.operating_height} m is out of the leg's reach of "
@@ -438,10 +541,17 @@ def params_sha256(params: Params) -> str:
 def cells_sha256(params: Params) -> str:
     """Return the SHA-256 of what gives a table's rows and columns their meaning.
 
-    The partition of the state, the load that forces are seen in, the knee speeds and the stance
-    share: tables can be exchanged between runs that agree in these.
+    The partition of the state, the load that forces are measured in, the knee speeds, the stance
+    share, and the parts of a leg that are another than the default: tables can be exchanged between
+    runs that agree in these.
     """
     every = as_dict(params)
     leg = every["leg"]
     meaning = [every["state"], leg["load"], leg["knee_speeds"], every["gait"]["stance_share"]]
-    return digest(meaning)
+    named = {part: path for part, path in every["parts"].items() if _named(part, path)}
+    return digest([*meaning, named] if named else meaning)
+
+
+def _named(part: str, path: str) -> bool:
+    """Return whether a part of a leg is another than the default, which gives no name."""
+    return part != "cpg" and path != SPECS[f"parts.{part}"].default

@@ -6,6 +6,8 @@ import numpy as np
 
 WORLD = 100
 """Spawn key of the world; legs have their position in the order of legs."""
+LEARNER = 200
+"""Spawn key of the first leg's learner; those of the others follow."""
 
 
 def generator(seed: int, who: int) -> np.random.Generator:

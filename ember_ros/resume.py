@@ -1,73 +1,68 @@
-"""What a run that starts from a table goes on from, and what is other now than it was then."""
+"""Where a run that starts from a table continues, and which parameters differ from the table's."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
-from ember_ros.errors import ParameterError, TableError
-from ember_ros.params import Params, by_full_name, replace
-from ember_ros.plan import Plan
+from ember_ros.errors import ParameterError
+from ember_ros.params import Params
 from ember_ros.run import SUMMARY, TABLE
+from ember_ros.run_config import RunConfig
 from leg_node.policy import epsilon_at
-from leg_node.table_file import load_about, load_table, told_differences
+from leg_node.table_file import describe_differences, load_about, load_table, params_of
 
 
-def resumed(run: Path, world: str) -> tuple[int, Params]:
-    """Return how many cycles a run had come to, and its parameters.
+def resume_point(run: Path, world: str) -> tuple[int, Params]:
+    """Return the number of cycles that a run has done, and its parameters.
 
     Args:
         run: its folder.
-        world: in which it is to go on.
+        world: the world in which it continues.
 
     Raises:
-        ParameterError: it was in another world, or does not say how far it came.
+        ParameterError: the run was in another world, or its number of cycles is unknown.
         TableError: its table cannot be read.
     """
     about = load_about(run / TABLE)
     try:
-        told = json.loads((run / SUMMARY).read_text(encoding="utf-8"))
-        where, cycle = told["world"], told["start_cycle"] + told["cycles"]
+        summary = json.loads((run / SUMMARY).read_text(encoding="utf-8"))
+        own_world, cycle = summary["world"], summary["start_cycle"] + summary["cycles"]
     except (OSError, ValueError, KeyError, TypeError):  # killed, or of an older version
-        where, cycle = world, about.get("cycle")
-    if where != world:
-        raise ParameterError(f"{run} is a run of the {where}; --table {run / TABLE} starts from it")
+        own_world, cycle = world, about.get("cycle")
+    if own_world != world:
+        raise ParameterError(
+            f"{run} is a run of the {own_world}; --table {run / TABLE} starts from its table"
+        )
     if not isinstance(cycle, int) or isinstance(cycle, bool):
         raise ParameterError(
-            f"{run} does not say how many cycles it came to; --table {run / TABLE} starts from its "
-            "table at cycle 0"
+            f"{run} does not say how many cycles it has done; --table {run / TABLE} starts from "
+            "its table at cycle 0"
         )
-    stored: Any = about.get("params")
-    try:
-        return cycle, replace(Params(), by_full_name(stored))
-    except (ParameterError, AttributeError) as error:
-        raise TableError(
-            f"{run / TABLE} has other parameters than this version: {error}"
-        ) from error
+    return cycle, params_of(run / TABLE, about)
 
 
-def beginning(plan: Plan) -> list[str]:
-    """Return what is to be said before a run that starts from a table.
+def start_messages(config: RunConfig) -> list[str]:
+    """Return the lines to print before a run that starts from a table.
 
     Raises:
         TableError: the table cannot be used.
     """
-    if plan.table is None:
+    if config.table is None:
         return []
     lines = []
-    _, about = load_table(plan.table, plan.params)
-    other = told_differences(plan.table, about, plan.params)
-    if other is not None:
-        lines.append(other)
-    numbers = plan.params.walk if plan.stage == "walk" else plan.params.train
-    epsilon = epsilon_at(numbers, plan.start_cycle)
+    _, about = load_table(config.table, config.params)
+    differences = describe_differences(config.table, about, config.params)
+    if differences is not None:
+        lines.append(differences)
+    numbers = config.params.walk if config.stage == "walk" else config.params.train
+    epsilon = epsilon_at(numbers, config.start_cycle)
     share = f"{100 * epsilon:.3g} %"
-    if plan.start_cycle:
-        lines.append(f"going on from cycle {plan.start_cycle}, exploring {share} at first")
-    elif plan.policy == "learned" and epsilon > numbers.epsilon_end:
+    if config.start_cycle:
+        lines.append(f"continuing from cycle {config.start_cycle}, exploring {share} at first")
+    elif config.policy == "learned" and epsilon > numbers.epsilon_end:
         lines.append(
-            f"starting from {plan.table} at cycle 0: {share} of the actions are random at "
-            "first, which may undo what it knows; --resume RUN goes on where a run was"
+            f"starting from {config.table} at cycle 0: {share} of the actions are random at "
+            "first, which may undo what was learnt; --resume RUN continues a run"
         )
     return lines

@@ -1,12 +1,12 @@
-"""Run a plan in one of three ways, and leave the same files behind.
+"""Runs a ``RunConfig`` on one of three backends; all three write the same files.
 
-========  ==============================================
-way       what runs
-========  ==============================================
-loop      no ROS: the direct loop
-graph     all nodes in this process
-processes one process a node, as seven ``ros2 run`` would
-========  ==============================================
+=========  ===============================================
+backend    what runs
+=========  ===============================================
+loop       the direct loop, without ROS
+graph      all nodes in this process
+processes  one process per node, as with seven ``ros2 run``
+=========  ===============================================
 """
 
 from __future__ import annotations
@@ -21,63 +21,66 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from ember_ros.bag.card import Card
-from ember_ros.bag.recording import Recording
-from ember_ros.bag.scribe import Scribe
+from ember_ros.bag.run_metadata import RunMetadata
+from ember_ros.bag.run_writer import RunWriter
 from ember_ros.bag.storage import BagOptions, make_folder, seal
+from ember_ros.bag.writer_process import WriterProcess
 from ember_ros.errors import ParameterError, StoppedError, no_ros
-from ember_ros.params import params_sha256
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import (
+from ember_ros.params import as_dict, params_sha256
+from ember_ros.report.run_statistics import (
     BODY,
     CYCLES,
     MEASURED,
     TRACES,
-    Record,
-    Recorder,
+    RunRecord,
+    RunStatistics,
     load_record,
+    save_record,
 )
+from ember_ros.run_config import RunConfig
 from ember_ros.spinning import prepare_environment
 from ember_ros.versions import provenance, versions
 from leg_node.journal import ENDINGS
+from leg_node.table import Table
 from leg_node.table_file import load_table, save_table
 
-WAYS = ("loop", "graph", "processes")
+BACKENDS = ("loop", "graph", "processes")
 CHECKPOINT_S = 5.0
-"""Wall time between two savings of what the loop has learnt: what ``kill -9`` can cost."""
+"""Wall time between two checkpoints of the loop's table, s: the most that ``kill -9`` can lose."""
 EARLIER, PART = ".earlier", ".earlier.part"
-"""Where an earlier run in the same folder lies until the new one has begun; and while it is on its
-way there or back."""
+"""Folder of an earlier run's files until the new run has finished its first cycle; and the folder
+while they are moved there or back."""
 TABLE, SUMMARY, PICTURE = "table.npz", "summary.json", "run.png"
-LEFT = (SUMMARY, CYCLES, MEASURED, TRACES, PICTURE, *(TABLE + e for e in ENDINGS), TABLE)
-"""What a run leaves in its folder, and the next one there replaces."""
+OUTPUTS = (SUMMARY, CYCLES, MEASURED, TRACES, PICTURE, *(TABLE + e for e in ENDINGS), TABLE)
+"""The files that a run writes into its folder, and that the next run there replaces."""
 
 GoOn = Callable[[int, int], bool]
-"""Told now and then of cycles done and falls; says whether to go on."""
+"""Called regularly with the cycles done and the falls; returns whether to continue."""
 
 
 def run(
-    plan: Plan,
-    way: str,
+    config: RunConfig,
+    backend: str,
     out: Path,
     go_on: GoOn,
     command: str,
     bag: BagOptions | None = None,
     namespace: str = "",
     replace: bool = True,
-) -> tuple[Record, dict[str, Any]]:
-    """Run a plan to its end, or until ``go_on`` says no, and write what came of it.
+) -> tuple[RunRecord, dict[str, Any]]:
+    """Run until all cycles are done or ``go_on`` returns False, and write the results.
 
     Writes ``table.npz``, ``cycles.csv``, ``traces.npy`` and ``summary.json`` into ``out``. An
-    earlier run there is replaced once this one has begun, and is as it was if it cannot begin.
+    earlier run there is replaced once the new one has finished a cycle; if the new one fails
+    before, the earlier one is restored.
 
     Args:
-        plan: what to run.
-        way: one of ``WAYS``.
-        out: a folder, made if need be.
-        go_on: progress and stop.
-        command: what was typed, for the summary.
-        bag: where to record the run to; nowhere for None.
+        config: what to run.
+        backend: one of ``BACKENDS``.
+        out: a folder; created if it does not exist.
+        go_on: receives the progress and can stop the run.
+        command: the command line, for the summary.
+        bag: the bag to record; None for none.
         namespace: of all nodes, and of the robot in the bag.
         replace: whether an earlier run in ``out`` may be replaced.
 
@@ -85,60 +88,115 @@ def run(
         The record and the summary.
 
     Raises:
-        EmberError: a parameter, the table or the graph is not as it should be, or another run
-            is writing into ``out``.
+        EmberError: a parameter, the table or the bag cannot be used, the graph fails, or another
+            run is writing into ``out``.
     """
-    where = provenance()
-    if plan.table:
-        load_table(plan.table, plan.params)  # say what is wrong with it before anything starts
+    origin = provenance()
+    # Check all inputs before anything starts.
+    start = load_table(config.table, config.params)[0].sha256() if config.table else None
     if bag is not None and bag.folder.absolute() == out.absolute():
-        raise ParameterError(f"{out} is to hold the run; another folder would be right for the bag")
+        raise ParameterError(f"{out} holds the run; another folder would be right for the bag")
     if bag is not None:
-        make_folder(bag.folder)  # say what is wrong with it before anything is replaced
+        make_folder(bag.folder)  # check it before an earlier run is replaced
         bag.folder.rmdir()
+    _make(out)
+    with _locked(out):
+        if not replace:
+            _refuse(out)
+        return _run(config, backend, out, go_on, command, bag, namespace, origin, start)
+
+
+def save_run(
+    config: RunConfig,
+    out: Path,
+    record: RunRecord,
+    table: Table,
+    *,
+    command: str,
+    origin: dict[str, str],
+    start: str | None,
+    replace: bool = False,
+) -> dict[str, Any]:
+    """Write a run of the direct loop from memory, with the same files as ``run``.
+
+    Args:
+        config: the configuration that was run.
+        out: a folder; created if it does not exist.
+        record: of the run.
+        table: the table at the end.
+        command: the call that ran it, for the summary.
+        origin: ``versions.provenance`` of the run.
+        start: SHA-256 of the table at the start; None if it was empty.
+        replace: whether an earlier run in ``out`` may be replaced.
+
+    Returns:
+        The summary.
+
+    Raises:
+        EmberError: the folder cannot be written, holds an earlier run, or another run is writing
+            into it.
+    """
+    _make(out)
+    summary = _summary(config, "loop", record, table.sha256(), command, origin, start)
+    with _locked(out):
+        if not replace:
+            _refuse(out)
+        _move_aside(out, None)
+        try:
+            notes = {"cycle": config.start_cycle + summary["cycles"]}
+            save_table(out / TABLE, table, config.params, config.seed, notes)
+            _write_summary(out, summary)
+            save_record(out, record)
+        except OSError as error:
+            _restore_or_discard(out)
+            raise ParameterError(f"cannot write into {out}: {error.strerror}") from error
+        except BaseException:
+            _restore_or_discard(out)
+            raise
+        shutil.rmtree(out / EARLIER)
+    return summary
+
+
+def _make(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ParameterError(f"cannot make the folder {out}: {error.strerror}") from error
-    with _alone_in(out):
-        if not replace:
-            _refuse(out)
-        return _run(plan, way, out, go_on, command, bag, namespace, where)
+        raise ParameterError(f"cannot create the folder {out}: {error.strerror}") from error
 
 
 def refuse_to_replace(out: Path) -> None:
-    """Hold that a run would replace nothing in a folder, of which there may be none yet.
+    """Check that a run would replace nothing in a folder; the folder need not exist.
 
     Raises:
-        ParameterError: it holds what a run leaves, or another run is writing into it.
+        ParameterError: it holds files of an earlier run, or another run is writing into it.
     """
     if not out.is_dir():
         return
-    with _alone_in(out):
+    with _locked(out):
         _refuse(out)
 
 
 def _refuse(out: Path) -> None:
-    kept = [name for name in LEFT if (out / name).exists()]
-    if kept:
+    existing = [name for name in OUTPUTS if (out / name).exists()]
+    if existing:
         raise ParameterError(
-            f"{out} holds an earlier run ({', '.join(kept)}); give another --out, or --force to "
-            "replace it"
+            f"{out} holds an earlier run ({', '.join(existing)}); give another --out, or --force "
+            "to replace it"
         )
 
 
 def recover(out: Path) -> None:
-    """Bring back what a run had set aside that was killed before its first cycle ended."""
-    with contextlib.suppress(ParameterError, OSError), _alone_in(out):
+    """Restore the earlier run if a later one was killed before its first cycle ended."""
+    with contextlib.suppress(ParameterError, OSError), _locked(out):
         pass
 
 
 @contextlib.contextmanager
-def _alone_in(out: Path) -> Iterator[None]:
-    """Hold a folder against other runs; the lock dies with its process.
+def _locked(out: Path) -> Iterator[None]:
+    """Lock a folder against other runs; the kernel frees the lock when this process ends.
 
     Raises:
-        ParameterError: another run holds it.
+        ParameterError: another run holds the lock.
     """
     folder = os.open(out, os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -150,59 +208,61 @@ def _alone_in(out: Path) -> Iterator[None]:
             ) from None
         except OSError:  # a file system without locks
             pass
-        _settle(out)
+        _restore_or_discard(out)
         yield
     finally:
         os.close(folder)
 
 
-def _begun(out: Path) -> bool:
-    """Return whether a run has ended its first cycle."""
+def _has_first_cycle(out: Path) -> bool:
+    """Return whether a run has finished its first cycle."""
     return (out / CYCLES).exists() and (out / CYCLES).read_bytes().count(b"\n") > 1
 
 
-def _set_aside(out: Path, start: Path | None) -> None:
-    """Set an earlier run's files aside, all or none; the table that is started from stays as well.
+def _move_aside(out: Path, start: Path | None) -> None:
+    """Move the files of an earlier run aside, all or none of them.
+
+    If the run starts from a table (``start``), the table in ``out`` is copied instead of moved.
 
     Raises:
-        ParameterError: the folder cannot be written, or holds a folder where a file will be.
+        ParameterError: ``out`` cannot be written, or a folder has the name of one of the files.
     """
     part = out / PART
     try:
         part.mkdir()
-        for name in LEFT:
+        for name in OUTPUTS:
             file = out / name
             if file.is_dir():
                 raise ParameterError(
-                    f"{file} is a folder, and a run writes a file of that name; another --out "
+                    f"{file} is a folder, but a run writes a file of that name; another --out "
                     "would be right"
                 )
             if file.exists():
                 if name == TABLE and start is not None:
-                    shutil.copy2(file, part / name)  # it may be the one to start from
+                    shutil.copy2(file, part / name)  # it may be the table to start from
                 else:
                     file.replace(part / name)
         part.rename(out / EARLIER)
     except OSError as error:
-        _settle(out)
+        _restore_or_discard(out)
         raise ParameterError(f"cannot write into {out}: {error.strerror}") from error
     except ParameterError:
-        _settle(out)
+        _restore_or_discard(out)
         raise
 
 
-def _settle(out: Path) -> None:
-    """Bring what was set aside back if the run after it did not begin, or remove it if it did.
+def _restore_or_discard(out: Path) -> None:
+    """Restore the earlier run if the new one has no finished cycle; otherwise remove it.
 
-    It may be killed at any point and begun again: nothing is removed in ``out`` any more once the
-    first file has come back.
+    The process may be killed at any point and the function called again: nothing is removed from
+    ``out`` once the first file has been restored.
     """
     aside, part = out / EARLIER, out / PART
     if aside.exists():
-        if _begun(out):
+        if _has_first_cycle(out):
             shutil.rmtree(aside)
             return
-        for name in LEFT:
+        for name in OUTPUTS:
             (out / name).unlink(missing_ok=True)
         aside.rename(part)
     if part.exists():
@@ -212,126 +272,152 @@ def _settle(out: Path) -> None:
 
 
 def _run(
-    plan: Plan,
-    way: str,
+    config: RunConfig,
+    backend: str,
     out: Path,
     go_on: GoOn,
     command: str,
     bag: BagOptions | None,
     namespace: str,
-    where: dict[str, str],
-) -> tuple[Record, dict[str, Any]]:
-    if way != "loop":
+    origin: dict[str, str],
+    start: str | None,
+) -> tuple[RunRecord, dict[str, Any]]:
+    if backend != "loop":
         prepare_environment()
-    ways = {"loop": _loop, "graph": _graph, "processes": _processes}
-    _set_aside(out, plan.table)
+    runners = {"loop": _loop, "graph": _graph, "processes": _processes}
+    _move_aside(out, config.table)
     earlier = any((out / EARLIER).iterdir())
     try:
-        ways[way](plan, out, go_on, bag, namespace)
+        runners[backend](config, out, go_on, bag, namespace)
     except BaseException:
-        _settle(out)
+        _restore_or_discard(out)
         raise
-    if earlier and plan.cycles and not _begun(out):
-        _settle(out)
+    if earlier and config.cycles and not _has_first_cycle(out):
+        _restore_or_discard(out)
         raise StoppedError(
-            f"stopped before the first cycle ended; the earlier run in {out} is as it was"
+            f"stopped before the first cycle ended; the earlier run in {out} is as it was before"
         )
     shutil.rmtree(out / EARLIER)
     record = load_record(out)
-    ticks = plan.cycles * plan.params.gait.ticks
-    summary = {
-        "command": command,
-        "on": way,
-        "world": plan.world,
-        "policy": plan.policy,
-        "learning": plan.learning,
-        "seed": plan.seed,
-        "start_cycle": plan.start_cycle,
-        "planned_cycles": plan.cycles,
-        "start_table": str(plan.table) if plan.table else None,
-        **record.measured,
-        "complete": len(record.traces) == ticks,
-        "table_sha256": load_table(out / TABLE, plan.params)[0].sha256(),
-        "params_sha256": params_sha256(plan.params),
-        "versions": versions(),
-        "provenance": where,
-    }
+    end = load_table(out / TABLE, config.params)[0].sha256()
+    summary = _summary(config, backend, record, end, command, origin, start)
     if bag is not None:
-        facts = {"planned_cycles": str(plan.cycles)}
-        # A graph that is stopped leaves open which legs had the last tick: then nobody can say
-        # which table a replay must end with.
-        if summary["complete"] or way == "loop":
+        facts = {"planned_cycles": str(config.cycles)}
+        # When a graph is stopped, some legs may have acted at the last tick and others not: the
+        # table at the end of a replay is then unknown.
+        if summary["complete"] or backend == "loop":
             facts["table_sha256"] = summary["table_sha256"]
         seal(bag.folder, **facts)
-    (out / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    _write_summary(out, summary)
     return record, summary
 
 
-def _loop(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str) -> None:
+def _summary(
+    config: RunConfig,
+    backend: str,
+    record: RunRecord,
+    end: str,
+    command: str,
+    origin: dict[str, str],
+    start: str | None,
+) -> dict[str, Any]:
+    """Return the content of ``summary.json``; ``end`` and ``start`` are SHA-256 of tables."""
+    return {
+        "command": command,
+        "on": backend,
+        "world": config.world,
+        "policy": config.policy,
+        "learning": config.learning,
+        "seed": config.seed,
+        "start_cycle": config.start_cycle,
+        "planned_cycles": config.cycles,
+        "start_table": str(config.table) if config.table else None,
+        "start_table_sha256": start,
+        **record.measured,
+        "complete": len(record.traces) == config.cycles * config.params.gait.ticks,
+        "table_sha256": end,
+        "parts": as_dict(config.params)["parts"],
+        "params_sha256": params_sha256(config.params),
+        "versions": versions(),
+        "provenance": origin,
+    }
+
+
+def _write_summary(out: Path, summary: dict[str, Any]) -> None:
+    (out / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+
+
+def _loop(
+    config: RunConfig, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str
+) -> None:
     from ember_ros.loop import Loop
     from ember_ros.observer import Observer
 
-    loop = Loop(plan)
-    recorder = Recorder(plan.params, plan.legs, out)
-    observers: list[Observer] = [recorder]
-    writer, recording = None, None
+    loop = Loop(config)
+    statistics = RunStatistics(config.params, config.legs, out)
+    observers: list[Observer] = [statistics]
+    writer, run_writer = None, None
     if bag is not None:
-        writer = Scribe(bag)
-        card = Card.of_plan(plan, loop.shared.table, versions())
-        recording = Recording(writer, card, loop.shared.table, namespace=namespace)
-        observers.append(recording)
+        writer = WriterProcess(bag)
+        run_metadata = RunMetadata.of_config(config, loop.shared.table, versions())
+        run_writer = RunWriter(writer, run_metadata, loop.shared.table, namespace=namespace)
+        observers.append(run_writer)
     saved = time.monotonic()
     try:
-        for cycle in range(plan.cycles):
-            if plan.learning and time.monotonic() - saved >= CHECKPOINT_S:
-                # All that was pushed, merged or not; it changes nothing in the run.
-                notes = {"cycle": plan.start_cycle + cycle}
-                save_table(out / TABLE, loop.shared.preview(), plan.params, plan.seed, notes)
+        for cycle in range(config.cycles):
+            if config.learning and time.monotonic() - saved >= CHECKPOINT_S:
+                # With all pushes, merged or not; the preview changes nothing in the run.
+                notes = {"cycle": config.start_cycle + cycle}
+                save_table(out / TABLE, loop.shared.preview(), config.params, config.seed, notes)
                 saved = time.monotonic()
             if not go_on(cycle, loop.world.body().falls):
                 break
-            for _ in range(plan.params.gait.ticks):
+            for _ in range(config.params.gait.ticks):
                 loop.tick(*observers)
-        if writer is not None and recording is not None:
-            recording.finish()
+        if writer is not None and run_writer is not None:
+            run_writer.finish()
             writer.close()
     finally:
-        notes = {"cycle": plan.start_cycle + loop.now // plan.params.gait.ticks}
-        save_table(out / TABLE, loop.finish(), plan.params, plan.seed, notes)
-        recorder.finish(loop.world.observe(), loop.world.body())
+        notes = {"cycle": config.start_cycle + loop.now // config.params.gait.ticks}
+        save_table(out / TABLE, loop.finish(), config.params, config.seed, notes)
+        statistics.finish(loop.world.observe(), loop.world.body())
         if writer is not None:
-            writer.abandon()  # nothing, if it was closed
+            writer.abandon()  # does nothing if the writer is closed
         loop.close()
 
 
-def _graph(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str) -> None:
+def _graph(
+    config: RunConfig, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str
+) -> None:
     try:
         from ember_ros.graph import Graph
 
-        graph = Graph(plan, out, bag=bag, namespace=namespace)
+        graph = Graph(config, out, bag=bag, namespace=namespace)
     except ModuleNotFoundError as error:
         raise no_ros(error) from error
     try:
-        tally = _Tally(out / CYCLES)
-        graph.run(lambda: go_on(*tally.read()))
+        progress = _Progress(out / CYCLES)
+        graph.run(lambda: go_on(*progress.read()))
     finally:
         graph.close()
 
 
-def _processes(plan: Plan, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str) -> None:
-    need_ros()  # say it here, not in seven logs
+def _processes(
+    config: RunConfig, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str
+) -> None:
+    need_ros()  # one error here instead of one in each of seven logs
     from ember_ros.graph import processes
 
-    tally = _Tally(out / CYCLES)
-    with processes(plan, out, bag=bag, namespace=namespace) as running:
-        running.wait(lambda: go_on(*tally.read()))
+    progress = _Progress(out / CYCLES)
+    with processes(config, out, bag=bag, namespace=namespace) as running:
+        running.wait(lambda: go_on(*progress.read()))
 
 
 def need_ros() -> None:
-    """Import ROS, for the sake of the error.
+    """Check that rclpy can be imported.
 
     Raises:
-        ParameterError: it is not here.
+        ParameterError: it cannot.
     """
     try:
         import rclpy  # noqa: F401
@@ -339,27 +425,27 @@ def need_ros() -> None:
         raise no_ros(error) from error
 
 
-class _Tally:
-    """Counts cycles and falls in a record that is growing."""
+class _Progress:
+    """Counts the cycles and falls in a ``cycles.csv`` while a run writes it."""
 
-    EVERY_S = 0.1
+    PERIOD_S = 0.1  # wall time between two reads
 
     def __init__(self, file: Path) -> None:
-        """Begin at the start of ``file``, which need not be there yet."""
-        self._file, self._at, self._next = file, 0, 0.0
+        """Start at the beginning of ``file``, which need not exist yet."""
+        self._file, self._offset, self._next_read = file, 0, 0.0
         self._cycles = self._falls = 0
 
     def read(self) -> tuple[int, int]:
         """Return cycles and falls so far."""
         now = time.monotonic()
-        if now >= self._next and self._file.exists():
-            self._next = now + self.EVERY_S
+        if now >= self._next_read and self._file.exists():
+            self._next_read = now + self.PERIOD_S
             with self._file.open("rb") as file:
-                file.seek(self._at)
-                fresh = file.read()
-            whole = fresh[: fresh.rfind(b"\n") + 1]
-            self._at += len(whole)
-            for line in whole.decode().splitlines():
+                file.seek(self._offset)
+                new = file.read()
+            complete = new[: new.rfind(b"\n") + 1]
+            self._offset += len(complete)
+            for line in complete.decode().splitlines():
                 cells = line.split(",")
                 if cells[1] == BODY:
                     self._cycles += 1

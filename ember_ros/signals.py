@@ -13,17 +13,17 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-LEGS = ("front_left", "front_right", "rear_left", "rear_right")
-"""The walker's legs. Their order is the order of everything that is done leg by leg."""
 
-TRAINER_LEG = "leg"
-"""The one leg of the trainer."""
+class Beat(NamedTuple):
+    """What the central pattern generator broadcasts, and all that it does: a stamped phase.
 
-Phase = float
-"""Cycles of the central pattern generator since the start, unwrapped: ``tick / ticks_per_cycle``.
+    The stamp tells the time, the phase tells the gait.
+    """
 
-The number of ticks a cycle is a power of two, so the value is exact and names its tick.
-"""
+    tick: int
+    """Ticks since the start of the run."""
+    phase: float
+    """Cycles since the start, unwrapped, 0 or more; it never runs backwards."""
 
 
 class LegSense(NamedTuple):
@@ -54,7 +54,7 @@ class LegSense(NamedTuple):
     """The hair in front of the foot touches the ground."""
     contact: bool
     """The foot touched the ground at the end of the tick."""
-    restart: bool
+    first_tick: bool
     """The leg was picked up and put down just now: what went before is none of its doing."""
 
 
@@ -72,7 +72,7 @@ class LegCommand(NamedTuple):
     """N m"""
 
 
-class Pair(NamedTuple):
+class TDUpdate(NamedTuple):
     """One Q-learning update, kept so that it can be applied elsewhere in the same order."""
 
     tick: int
@@ -84,24 +84,32 @@ class Pair(NamedTuple):
 
 
 class Transition(NamedTuple):
-    """What one leg did in a tick and what it was paid for it, known at the start of tick ``tick``.
+    """One step of a leg's Markov decision process, known at the start of tick ``tick``.
 
-    It speaks of the tick that just ended, as the force in ``LegSense`` does. A leg says it for
-    records, reports and viewers; no other leg hears it.
+    State, stance, action and reward are of the tick that just ended, as the force in ``LegSense``
+    is; the next state and stance are of the tick that begins. A leg publishes it for records,
+    reports and viewers; no other leg hears it.
     """
 
     tick: int
-    """The tick at which it is known, one after the tick that it speaks of."""
-    stance: bool
-    """Whether the tick was rewarded as stance is."""
+    """The tick that begins: one after the tick that is rewarded."""
     state: int
     """In which the action was chosen, 0 or more; -1 where there is nothing to credit: at the first
-    tick, after a restart, or after ticks that were missed."""
+    tick, after a reset, or after ticks that were missed."""
+    stance: bool
+    """Whether the leg was in stance; False where there is nothing to credit."""
     action: int
     """Index into ``leg.knee_speeds``; -1 where there is nothing to credit."""
     terms: tuple[tuple[str, float], ...]
     """Every weighted term of the reward by name, always the same names in the same order; 0 for a
     term that did not apply."""
+    next_state: int
+    """In which the tick begins."""
+    next_stance: bool
+    """Whether the tick that begins belongs to stance."""
+    td_error: float
+    """What the learner's update was worth: its target less the value that was believed before; 0
+    where nothing was learnt."""
 
     @property
     def credited(self) -> bool:

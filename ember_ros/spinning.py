@@ -1,9 +1,9 @@
-"""How a node lives: made, spun, stopped by a signal or by itself, and left in good order.
+"""Runs a node as a process: creates it, spins it, finishes it after a signal or when it is done.
 
-``EventsExecutor`` costs a third of the default executor's time a callback and delivers in one
-order, but its ``spin`` ignores signals (rclpy 7.1): so it is spun in short turns here, and rclpy's
-own signal handlers, which would shut the context down before a leg could hand in what it has
-learnt, are left out.
+``EventsExecutor`` needs a third of the default executor's time per callback and delivers in a fixed
+order, but its ``spin`` ignores signals (rclpy 7.1). So it is spun with a short timeout here. The
+signal handlers of rclpy are not installed: they would shut the context down before a leg could push
+its last updates.
 """
 
 from __future__ import annotations
@@ -24,31 +24,32 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, Protocol, TypeVar
 
-MOST_DOMAIN = 232
-"""Of ROS_DOMAIN_ID: with a greater one, ports are beyond what UDP has."""
-TURN_S = 0.1  # the longest time until a signal is heard
-HAND_IN_S = 3.0
-"""Least wall time that a leg that ends waits for the table to take what it learnt last."""
+MAX_DOMAIN = 232
+"""Greatest ROS_DOMAIN_ID: greater ones give port numbers beyond those of UDP."""
+SPIN_S = 0.1
+"""Timeout of one spin, s: the longest time until a signal takes effect."""
+FINAL_PUSH_S = 3.0
+"""Minimum wall time that a leg that ends waits for the table to acknowledge its last push, s."""
 LINGER_S = 4.0
-"""Wall time that a node which is asked to stop serves those that still need it: longer than they
-wait for it, and less than the 5 s after which ``ros2 launch`` sends a stronger signal."""
+"""Wall time that a stopping node still serves other nodes, s: longer than they wait for it, and
+less than the 5 s after which ``ros2 launch`` sends a stronger signal."""
 
 
 def prepare_environment() -> None:
-    """Set sane defaults before rclpy is initialised; what the user set stands.
+    """Set default environment variables before rclpy is initialised; variables that are set stay.
 
-    Discovery stays on this machine: two people in one lab do not drive each other's robots. Logs
-    go to a folder of our own where there is no home that could hold them.
+    Discovery is limited to this machine, so that two people in one lab do not drive each other's
+    robots. Without a writable home, logs go to a temporary folder.
 
     Raises:
-        ParameterError: ROS 2 cannot start in this environment. Its C code ends the process for some
-            of this without a word.
+        ParameterError: ROS 2 cannot start in this environment. In some of these cases its C code
+            would end the process without a message.
     """
     from ember_ros.errors import ParameterError
 
     domain = os.environ.get("ROS_DOMAIN_ID", "")
-    if domain and not (domain.isdecimal() and int(domain) <= MOST_DOMAIN):
-        raise ParameterError(f"ROS_DOMAIN_ID={domain}: 0 to {MOST_DOMAIN} would be right")
+    if domain and not (domain.isdecimal() and int(domain) <= MAX_DOMAIN):
+        raise ParameterError(f"ROS_DOMAIN_ID={domain}: 0 to {MAX_DOMAIN} would be right")
     logs = os.environ.get("ROS_LOG_DIR", "")
     if logs:
         try:
@@ -56,7 +57,7 @@ def prepare_environment() -> None:
             tempfile.TemporaryFile(dir=logs).close()
         except OSError as error:
             raise ParameterError(
-                f"ROS_LOG_DIR={logs}: no log can be written there: {error.strerror}"
+                f"ROS_LOG_DIR={logs}: cannot write a log there: {error.strerror}"
             ) from error
     _check_middleware()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -69,44 +70,44 @@ def prepare_environment() -> None:
 
 @functools.cache
 def _check_middleware() -> None:
-    """Start ROS in a process of its own with the middleware that the user asks for.
+    """Check in a separate process that ROS starts with the middleware that the user selected.
 
     Raises:
-        ParameterError: it is not here.
+        ParameterError: it does not.
     """
     from ember_ros.errors import ParameterError
 
-    asked = os.environ.get("RMW_IMPLEMENTATION", "")
-    if asked in ("", "rmw_fastrtps_cpp"):
+    middleware = os.environ.get("RMW_IMPLEMENTATION", "")
+    if middleware in ("", "rmw_fastrtps_cpp"):
         return
     code = "import rclpy; rclpy.init(); rclpy.create_node('probe'); rclpy.try_shutdown()"
-    tried = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code],
-        cwd="/",  # nothing of the working directory is imported
+        cwd="/",  # so that nothing in the working directory is imported
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         check=False,
     )
-    if tried.returncode:
+    if result.returncode:
         raise ParameterError(
-            f"RMW_IMPLEMENTATION={asked}: ROS 2 does not start with it; install it, or unset the "
-            "variable"
+            f"RMW_IMPLEMENTATION={middleware}: ROS 2 does not start with it; install it, or unset "
+            "the variable"
         )
 
 
 class Spinnable(Protocol):
-    """What every node here has besides being an rclpy node."""
+    """The interface that all nodes of this package have in addition to rclpy's ``Node``."""
 
     GROUPS: ClassVar[tuple[str, ...]]
-    """The groups of parameters that it has."""
+    """The groups of parameters that it declares."""
     OPTIONS: ClassVar[tuple[str, ...]]
-    """Its parameters besides."""
+    """The options that it declares, see ``ember_ros.options``."""
     done: bool
     """True once the node has nothing more to do."""
 
     def finish(self, spin: Callable[[], None]) -> None:
-        """Bring home what must not be lost; ``spin`` lets the node's callbacks run for a turn."""
+        """Save what must not be lost; ``spin`` runs the node's callbacks once."""
         ...
 
     def destroy_node(self) -> Any:
@@ -126,44 +127,48 @@ def _init(args: list[str] | None) -> None:
         raise ParameterError(f"these ROS arguments cannot be used: {error}") from error
 
 
-STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Stop:
-    """Whether one of ``STOPS`` came."""
+    """A flag that is set by ``STOP_SIGNALS``."""
 
     def __init__(self) -> None:
-        """Begin unasked."""
-        self.asked = False
+        """Start with no stop requested."""
+        self.requested = False
 
-    def ask(self, number: int = 0, frame: FrameType | None = None) -> None:
-        """Ask everybody who looks to come to an end."""
-        self.asked = True
+    def request(self, number: int = 0, frame: FrameType | None = None) -> None:
+        """Set the flag; has the signature of a signal handler."""
+        self.requested = True
         if number == signal.SIGHUP:
-            let_go_of_terminal()
+            detach_terminal()
 
 
-def let_go_of_terminal() -> None:
-    """Have what is said go nowhere, where it went to a terminal that is gone.
+def detach_terminal() -> None:
+    """Redirect standard streams to /dev/null if they belong to a terminal that is closed.
 
-    It could not be written, and what is learnt must be saved all the same.
+    Writing to it would fail, and the table must be saved all the same.
     """
-    with open(os.devnull, "r+b", buffering=0) as nowhere:
+    with open(os.devnull, "r+b", buffering=0) as devnull:
         for each in (0, 1, 2):
             with suppress(OSError):  # closed
                 if stat.S_ISCHR(os.fstat(each).st_mode) and not os.isatty(each):
-                    os.dup2(nowhere.fileno(), each)
+                    os.dup2(devnull.fileno(), each)
 
 
 @contextmanager
 def stop_signals() -> Iterator[Stop]:
-    """Turn SIGINT, SIGTERM and SIGHUP into a flag for as long as the block lasts.
+    """Turn SIGINT, SIGTERM and SIGHUP into a flag while the block runs.
 
-    A SIGHUP that is ignored, as below ``nohup``, stays ignored.
+    A SIGHUP that is ignored, as under ``nohup``, stays ignored.
     """
     stop = Stop()
     ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    before = {s: signal.signal(s, stop.ask) for s in STOPS if not (ignored and s == signal.SIGHUP)}
+    before = {
+        s: signal.signal(s, stop.request)
+        for s in STOP_SIGNALS
+        if not (ignored and s == signal.SIGHUP)
+    }
     try:
         yield stop
     finally:
@@ -174,8 +179,8 @@ def stop_signals() -> Iterator[Stop]:
 N = TypeVar("N", bound=Spinnable)
 
 
-def _own(args: Sequence[str]) -> list[str]:
-    """Return the arguments that are not for ROS: those do not stand behind ``--ros-args``."""
+def _without_ros_args(args: Sequence[str]) -> list[str]:
+    """Return the arguments that are not ROS arguments, which follow ``--ros-args``."""
     own, for_ros = [], False
     for each in args:
         if each == "--ros-args":
@@ -187,31 +192,31 @@ def _own(args: Sequence[str]) -> list[str]:
     return own
 
 
-def _executable(make: type[Spinnable]) -> str:
-    """Return the name that the node's executable has: LegNode is in leg_node."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", make.__name__).lower()
+def _executable(node_class: type[Spinnable]) -> str:
+    """Return the name of a node's executable: leg_node for LegNode."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", node_class.__name__).lower()
 
 
-def usage(make: type[Spinnable]) -> str:
-    """Return what ``--help`` says of a node: what it is and which parameters it has."""
+def usage(node_class: type[Spinnable]) -> str:
+    """Return the ``--help`` text of a node: its docstring, its options and its parameters."""
     from ember_ros.options import OPTIONS
 
-    name = _executable(make)
+    name = _executable(node_class)
     lines = [
         f"usage: {name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r __ns:=/NAMESPACE]"
         " [-r __node:=NAME]]",
         "",
-        inspect.cleandoc(make.__doc__ or "").replace("``", ""),
+        inspect.cleandoc(node_class.__doc__ or "").replace("``", ""),
     ]
-    if make.OPTIONS:
-        lines += ["", "with these defaults:"]
-    for option in make.OPTIONS:
+    if node_class.OPTIONS:
+        lines += ["", "Options and their defaults:"]
+    for option in node_class.OPTIONS:
         default, doc, choices = OPTIONS[option][:3]
-        told = f" ({', '.join(choices)})" if choices else ""
-        lines.append(f"  {option + ':=' + _yaml(default):24} {doc}{told}")
-    if make.GROUPS:
-        groups = ", ".join(f"{group}.*" for group in make.GROUPS)
-        lines += ["", f"`ember params --describe` tells unit, range and meaning of {groups}."]
+        allowed = f" ({', '.join(choices)})" if choices else ""
+        lines.append(f"  {option + ':=' + _yaml(default):24} {doc}{allowed}")
+    if node_class.GROUPS:
+        groups = ", ".join(f"{group}.*" for group in node_class.GROUPS)
+        lines += ["", f"`ember params --describe` lists unit, range and meaning of {groups}."]
     return "\n".join(lines)
 
 
@@ -219,31 +224,32 @@ def _yaml(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value) or "''"
 
 
-def main_of(
-    make: type[N],
+def node_main(
+    node_class: type[N],
     args: list[str] | None = None,
-    needed: Callable[[N], bool] = lambda node: False,
+    is_needed: Callable[[N], bool] = lambda node: False,
 ) -> int:
     """Run one node as a process: the body of every ``main``.
 
     Args:
-        make: the node's class.
-        args: as ``rclpy.init`` takes them.
-        needed: whether others still need the node that is asked to stop. Ctrl-C in ``ros2 launch``
-            reaches all nodes at once; who is needed goes on for at most ``LINGER_S``.
+        node_class: the node's class.
+        args: command-line arguments, as for ``rclpy.init``; ``sys.argv`` for None.
+        is_needed: whether other nodes still need a node that has to stop. Ctrl-C in ``ros2 launch``
+            reaches all nodes at once; a node that is needed continues for at most ``LINGER_S``.
 
     Returns:
-        0 after a signal or when the node is done, 2 for a mistake of the user's, 3 where another
-        node is already what this one was to be; both are said in one line.
+        The exit code: 0 after a signal or when the node is done; 2 after an error; 3 if another
+        node holds the name. Errors are printed in one line.
     """
-    own = _own(sys.argv[1:] if args is None else args)
-    if not {"-h", "--help"}.isdisjoint(own):
-        print(usage(make))
+    own_args = _without_ros_args(sys.argv[1:] if args is None else args)
+    if not {"-h", "--help"}.isdisjoint(own_args):
+        print(usage(node_class))
         return 0
-    if own:  # rcl would take world:=trainer for a remap rule, and go on without it
+    if own_args:  # rcl would treat world:=trainer as a remap rule and ignore it
         print(
-            f"error: {_executable(make)} has no argument {own[0]!r}; --ros-args -p NAME:=VALUE "
-            "sets a parameter, --ros-args -r NAME:=NAME remaps, and --help tells more",
+            f"error: {_executable(node_class)} has no argument {own_args[0]!r}; --ros-args -p "
+            "NAME:=VALUE sets a parameter, --ros-args -r NAME:=NAME remaps a name, --help lists "
+            "the parameters",
             file=sys.stderr,
         )
         return 2
@@ -251,27 +257,27 @@ def main_of(
     from rclpy.experimental.events_executor import EventsExecutor
 
     from ember_ros.errors import EmberError
-    from ember_ros.seat import TAKEN, TakenError, make_sure
+    from ember_ros.name_lock import NAME_TAKEN, NameTakenError, wait_until_alone
 
     with stop_signals() as stop:
         node: N | None = None
         try:
             prepare_environment()
             _init(args)
-            node = make()
-            make_sure([node], lambda: not stop.asked)
+            node = node_class()
+            wait_until_alone([node], lambda: not stop.requested)
             executor = EventsExecutor()
             executor.add_node(node)
-            while not stop.asked and not node.done:
-                executor.spin_once(timeout_sec=TURN_S)
+            while not stop.requested and not node.done:
+                executor.spin_once(timeout_sec=SPIN_S)
             deadline = time.monotonic() + LINGER_S
-            while needed(node) and time.monotonic() < deadline:
-                executor.spin_once(timeout_sec=TURN_S)
-            node.finish(lambda: executor.spin_once(timeout_sec=TURN_S))
+            while is_needed(node) and time.monotonic() < deadline:
+                executor.spin_once(timeout_sec=SPIN_S)
+            node.finish(lambda: executor.spin_once(timeout_sec=SPIN_S))
             return 0
         except EmberError as error:
             print(f"error: {error}", file=sys.stderr)
-            return TAKEN if isinstance(error, TakenError) else 2
+            return NAME_TAKEN if isinstance(error, NameTakenError) else 2
         finally:
             if node is not None:
                 node.destroy_node()

@@ -1,4 +1,4 @@
-"""The terminal that ``ember`` speaks to, what is done when it is gone, and how far a run is."""
+"""Terminal output of ``ember``: consoles that survive a closed terminal, tables and progress."""
 
 from __future__ import annotations
 
@@ -7,27 +7,28 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import IO, Any
 
 from rich.console import Console, ConsoleDimensions
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
-from ember_ros.spinning import let_go_of_terminal
+from ember_ros.spinning import detach_terminal
 
-SAY_S = 10.0
-"""Wall seconds between two lines that say how far a run is, where there is no terminal."""
+LINE_PERIOD_S = 10.0
+"""Wall time between two lines of progress if there is no terminal, s."""
 
 WIDE = 1000
-"""Columns where there is no terminal."""
+"""Columns if there is no terminal."""
 
 Update = Callable[[float, str], None]
-"""Told how much is done, and that in words."""
+"""Called with the amount that is done and a text that describes it."""
 
 
-class _Forgetful:
-    """A file that forgets what is written to a terminal or a reader that is gone."""
+class _TolerantFile:
+    """A file that drops what is written to a closed terminal or a closed pipe."""
 
     def __init__(self, file: IO[str]) -> None:
         self._file = file
@@ -36,32 +37,32 @@ class _Forgetful:
         return getattr(self._file, name)
 
     def write(self, text: str) -> None:
-        with self._forgotten():
+        with self._dropping():
             self._file.write(text)
 
     def flush(self) -> None:
-        with self._forgotten():
+        with self._dropping():
             self._file.flush()
 
     @contextmanager
-    def _forgotten(self) -> Iterator[None]:
+    def _dropping(self) -> Iterator[None]:
         try:
             yield
-        except BrokenPipeError:  # `| head` has heard enough, and the run is whole all the same
-            with open(os.devnull, "wb") as nowhere:
-                os.dup2(nowhere.fileno(), self._file.fileno())
+        except BrokenPipeError:  # the reader, such as `| head`, has ended; the run continues
+            with open(os.devnull, "wb") as devnull:
+                os.dup2(devnull.fileno(), self._file.fileno())
         except OSError as error:
             if error.errno != errno.EIO:
                 raise
-            let_go_of_terminal()
+            detach_terminal()
 
 
 class Terminal(Console):
-    """A console whose run goes on, and is saved, when its terminal is closed."""
+    """A console that does not stop the run when its terminal is closed."""
 
     @property
     def size(self) -> ConsoleDimensions:
-        """Return columns and lines; where there is no terminal, no line and no path is broken."""
+        """Return columns and lines; without a terminal, lines are so wide that none is wrapped."""
         if self.is_terminal:
             return super().size
         return ConsoleDimensions(WIDE, super().size.height)
@@ -72,8 +73,8 @@ class Terminal(Console):
 
     @property
     def file(self) -> IO[str]:
-        """Return what it writes to."""
-        return _Forgetful(super().file)  # type: ignore[return-value]
+        """Return the file that it writes to."""
+        return _TolerantFile(super().file)  # type: ignore[return-value]
 
     @file.setter
     def file(self, new: IO[str]) -> None:
@@ -81,33 +82,52 @@ class Terminal(Console):
 
 
 console = Terminal(highlight=False, markup=False)
-"""What a command found out goes here: to standard output."""
-aside = Terminal(stderr=True, highlight=False, markup=False)
-"""How far it is goes here: to standard error, so that output can be piped on."""
+"""Results are printed here, to standard output."""
+progress_console = Terminal(stderr=True, highlight=False, markup=False)
+"""Progress is printed here, to standard error, so that results can be piped."""
 
 
-def typed() -> str:
-    """Return what was typed, for a text file: bytes that are no letters are spelt out."""
+def command_line() -> str:
+    """Return the command line, for a text file: undecodable bytes are escaped."""
     command = shlex.join(["ember", *sys.argv[1:]])
     return command.encode("utf-8", "backslashreplace").decode()
 
 
-def say_all_paths() -> None:
-    """Have what an encoding has no letters for spelt out: a path may be anything."""
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")
+def grid(
+    rows: Iterable[Sequence[Any]],
+    columns: str = "ll",
+    heads: Sequence[str] = (),
+    *,
+    whole: bool = False,
+) -> Table:
+    """Return a table to print.
+
+    Args:
+        rows: one value per column each.
+        columns: one letter per column: ``l`` aligns left, for words; ``r`` right, for numbers.
+        heads: one header per column; none if empty.
+        whole: whether a row stays on one line on a narrow terminal, which then truncates values.
+    """
+    table = Table(show_header=bool(heads), box=None, padding=(0, 2, 0, 0))
+    for head, side in zip(heads or [""] * len(columns), columns, strict=True):
+        table.add_column(head, justify="right" if side == "r" else "left", no_wrap=whole)
+    for row in rows:
+        table.add_row(*map(str, row))
+    return table
 
 
 @contextmanager
 def progress(label: str, total: float) -> Iterator[Update]:
-    """Show how far a run is: a bar on a terminal; elsewhere a line every ``SAY_S``.
+    """Show progress: a bar on a terminal, otherwise a line every ``LINE_PERIOD_S``.
 
-    Nothing is shown before the first update: a mistake that is found before is said in one line.
+    Nothing is shown before the first update, so an error before it is a single line.
 
     Args:
-        label: what is done.
-        total: how much there is to do.
+        label: names the task.
+        total: the amount to do.
+
+    Yields:
+        The function that updates the progress.
     """
     if not _interactive():
         yield _lines(label)
@@ -115,15 +135,15 @@ def progress(label: str, total: float) -> Iterator[Update]:
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.fields[told]}"),
+        TextColumn("{task.fields[text]}"),
         TimeRemainingColumn(),
-        console=aside,
+        console=progress_console,
     )
-    task = bar.add_task(label, total=total, told="")
+    task = bar.add_task(label, total=total, text="")
 
-    def update(done: float, told: str) -> None:
+    def update(done: float, text: str) -> None:
         bar.start()
-        bar.update(task, completed=done, told=told)
+        bar.update(task, completed=done, text=text)
 
     try:
         yield update
@@ -133,27 +153,31 @@ def progress(label: str, total: float) -> Iterator[Update]:
 
 
 @contextmanager
-def doing(label: str) -> Iterator[Callable[[str], None]]:
-    """Show what is done now, stage by stage, where nobody knows how much there is to do."""
+def stages(label: str) -> Iterator[Callable[[str], None]]:
+    """Show the present stage of a task whose total amount is unknown.
+
+    Yields:
+        The function that is called with each stage.
+    """
     if _interactive():
-        with aside.status("") as status:
+        with progress_console.status("") as status:
             yield status.update
     else:
-        yield lambda what: aside.print(f"{label}: {what}")
+        yield lambda stage: progress_console.print(f"{label}: {stage}")
 
 
 def _interactive() -> bool:
-    """Return whether somebody looks on from a terminal that can draw."""
-    return sys.stderr.isatty() and not aside.is_dumb_terminal
+    """Return whether standard error is a terminal that can draw."""
+    return sys.stderr.isatty() and not progress_console.is_dumb_terminal
 
 
 def _lines(label: str) -> Update:
-    said = time.monotonic()
+    last = time.monotonic()
 
-    def update(done: float, told: str) -> None:
-        nonlocal said
-        if time.monotonic() - said >= SAY_S:
-            aside.print(f"{label}: {told}")
-            said = time.monotonic()
+    def update(done: float, text: str) -> None:
+        nonlocal last
+        if time.monotonic() - last >= LINE_PERIOD_S:
+            progress_console.print(f"{label}: {text}")
+            last = time.monotonic()
 
     return update

@@ -1,8 +1,8 @@
-"""What is said over and over, said now and then with a count.
+"""Rate-limited logging: repeated lines are logged a few times per window, with a count.
 
-A log of a thousand lines a minute hides the one that matters, and one that drops lines in silence
-ends with what is over already. So a matter has a few lines a window of time; of those held back,
-the last one is said when the window ends, with how many there were.
+A thousand lines per minute hide the one that matters. A log that drops lines silently ends with a
+state that is no longer true. So each key has a few lines per window; of the lines held back, the
+last one is logged when the window ends, with the number of lines it stands for.
 """
 
 from __future__ import annotations
@@ -11,59 +11,66 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-SAY_S = 5.0
-"""A window: wall time from a matter's first line on, s."""
-AT_ONCE = 2
-"""Lines a window that are said at once: that somebody is absent, and that it is back."""
+LOG_WINDOW_S = 5.0
+"""Wall time of a window, which starts with the first line of a key, s."""
+BURST = 2
+"""Lines per window that are logged at once: that a leg is absent, and that it is back."""
 
 
-class _Matter(NamedTuple):
-    since: float
-    said: int
-    held: int
+class _Window(NamedTuple):
+    start: float
+    logged: int
+    suppressed: int
     last: str
 
 
 class Throttle:
-    """Lets the lines on a matter through, or holds them back."""
+    """Logs the lines of a key, or holds them back until its window ends."""
 
     def __init__(
         self,
-        say: Callable[[str], object],
-        window_s: float = SAY_S,
-        at_once: int = AT_ONCE,
+        log: Callable[[str], object],
+        window_s: float = LOG_WINDOW_S,
+        burst: int = BURST,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Begin with nothing said; lines go to ``say``."""
-        self._emit, self._window_s, self._at_once, self._clock = say, window_s, at_once, clock
-        self._matters: dict[str, _Matter] = {}
+        """Start without open windows.
 
-    def say(self, matter: str, text: str) -> None:
-        """Say a line now, or hold it back."""
-        now, known = self._clock(), self._matters.get(matter)
-        if known is None or now - known.since >= self._window_s:
-            self._matters[matter] = _Matter(now, 1, 0, "")
-            self._tell(text, known.held if known else 0)
-        elif known.said < self._at_once:
-            self._matters[matter] = known._replace(said=known.said + 1)
-            self._tell(text, 0)
+        Args:
+            log: receives each line that is logged.
+            window_s: length of a window, s.
+            burst: lines of a key that are logged at once in a window.
+            clock: returns the time, s.
+        """
+        self._log, self._window_s, self._burst, self._clock = log, window_s, burst, clock
+        self._windows: dict[str, _Window] = {}
+
+    def log(self, key: str, text: str) -> None:
+        """Log a line now, or hold it back until the window ends."""
+        now, window = self._clock(), self._windows.get(key)
+        if window is None or now - window.start >= self._window_s:
+            self._windows[key] = _Window(now, 1, 0, "")
+            self._emit(text, window.suppressed if window else 0)
+        elif window.logged < self._burst:
+            self._windows[key] = window._replace(logged=window.logged + 1)
+            self._emit(text, 0)
         else:
-            self._matters[matter] = known._replace(held=known.held + 1, last=text)
+            self._windows[key] = window._replace(suppressed=window.suppressed + 1, last=text)
 
-    def remind(self, matter: str, text: str) -> None:
-        """Say once a window that something still is so; when it is over, it is said no more."""
-        now, known = self._clock(), self._matters.get(matter)
-        if known is None or now - known.since >= self._window_s:
-            self._matters[matter] = _Matter(now, 1, 0, "")
-            self._tell(text, 0)
+    def remind(self, key: str, text: str) -> None:
+        """Log a state that still holds, once per window; further calls in it are dropped."""
+        now, window = self._clock(), self._windows.get(key)
+        if window is None or now - window.start >= self._window_s:
+            self._windows[key] = _Window(now, 1, 0, "")
+            self._emit(text, 0)
 
     def flush(self) -> None:
-        """Say the last line held back of each matter whose window is over; to be called often."""
+        """Log the last suppressed line of each key whose window is over; call it often."""
         now = self._clock()
-        for name, matter in self._matters.items():
-            if matter.held and now - matter.since >= self._window_s:
-                self._matters[name] = _Matter(now, self._at_once, 0, "")
-                self._tell(matter.last, matter.held - 1)
+        for key, window in self._windows.items():
+            if window.suppressed and now - window.start >= self._window_s:
+                self._windows[key] = _Window(now, self._burst, 0, "")
+                self._emit(window.last, window.suppressed - 1)
 
-    def _tell(self, text: str, more: int) -> None:
-        self._emit(f"{text} (and {more} more such lines)" if more else text)
+    def _emit(self, text: str, more: int) -> None:
+        self._log(f"{text} (and {more} more such lines)" if more else text)

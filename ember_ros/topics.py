@@ -1,35 +1,36 @@
-"""The only table of names, types and qualities of service on the graph.
+"""All topics and services of the graph: names, types and quality of service.
 
-All names are relative, ``clock`` included: a namespace makes a second robot on the same machine.
+All names are relative, ``clock`` included, so a namespace makes a second robot on one machine.
 
 =========================  ==========================  ==========================================
 name                       type                        carries
 =========================  ==========================  ==========================================
 ``clock``                  rosgraph_msgs/Clock         simulated time: tick times tick length
-``cpg/phase``              std_msgs/Float64            cycles since the start, unwrapped
+``cpg/phase``              sensor_msgs/JointState      stamp, and cycles since the start, unwrapped
 ``<leg>/joint_states``     sensor_msgs/JointState      hip, knee: rad and rad/s
-``<leg>/contact``          sensor_msgs/JointState      what the foot feels, see ``wire.CONTACT``
-``<leg>/command``          sensor_msgs/JointState      hip, knee: rad/s and largest N m
-``<leg>/transition``       sensor_msgs/JointState      what the leg was paid, by term, and for what:
+``<leg>/contact``          sensor_msgs/JointState      foot sensors, see ``wire.CONTACT``
+``<leg>/command``          sensor_msgs/JointState      hip, knee: rad/s and maximum torque, N m
+``<leg>/transition``       sensor_msgs/JointState      state, action, reward by term, next state:
                                                        see ``wire.TRANSITION``
 ``falls``                  std_msgs/Int64              falls so far
 ``odometry``               nav_msgs/Odometry           the body's pose, for viewers and bags
-``diagnostics``            diagnostic_msgs/            who is absent, what was refused
+``diagnostics``            diagnostic_msgs/            absent legs, number of refused messages
                            DiagnosticArray
 ``recorder/tick``          std_msgs/Int64              the last tick a recorder node heard
 ``run/card``               std_msgs/String             in bags only: what determined the run
 ``run/values``             std_msgs/Float64MultiArray  in bags only: the table at the start
-``run/visits``             std_msgs/Int64MultiArray    the same, how often each cell was visited
+``run/visits``             std_msgs/Int64MultiArray    in bags only: its visits of each cell
 ``run/crc``                std_msgs/UInt32MultiArray   in bags only: CRC-32 of each leg's senses
-``table/push`` (service)   rcl_interfaces/             a leg's pairs of one epoch
+``table/push`` (service)   rcl_interfaces/             a leg's table updates of one epoch
                            SetParametersAtomically
 ``table/pull`` (service)   rcl_interfaces/             the table, or what changed in it
                            GetParameters
 ``table/save`` (service)   std_srvs/Trigger            write the table now
 ``table/learning``         std_srvs/SetBool            whether pushes are merged
+(service)
 =========================  ==========================  ==========================================
 
-Types are named, and looked up when a node needs them: what only talks about messages needs no ROS.
+Types are stored by name and imported when a node needs them, so this module works without ROS.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
     from rclpy.subscription import Subscription
 
-HELD = 16
-"""Messages that a subscription holds until they are heard."""
+DEPTH = 16
+"""Queue depth of a subscription: messages that wait for the callback."""
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
@@ -59,7 +60,10 @@ def class_of(kind: str) -> Any:
 
 
 def latest(depth: int = 1) -> QoSProfile:
-    """Return the one quality of service here: who joins late gets the latest, nothing is lost."""
+    """Return the quality of service of all topics: a late joiner receives the latest message.
+
+    It is reliable and transient local, and keeps the last ``depth`` messages.
+    """
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
     return QoSProfile(
@@ -81,29 +85,29 @@ class Topic(NamedTuple):
         return node.create_publisher(class_of(self.kind), self.name, latest())
 
     def subscribe(
-        self, node: Node, hear: Callable[[bytes], None], *, held: int = HELD
+        self, node: Node, callback: Callable[[bytes], None], *, depth: int = DEPTH
     ) -> Subscription:
-        """Return a new subscription of ``node`` that hears serialized messages.
+        """Return a new subscription of ``node``; ``callback`` receives serialized messages.
 
-        It holds more than the latest: a second publisher must not push the first one's out. A
-        publisher that it cannot hear is told of, with what would be right.
+        The queue holds more than one message, so that a second publisher does not push out those of
+        the first. A publisher with an incompatible quality of service is logged as a warning.
         """
         from rclpy.event_handler import SubscriptionEventCallbacks
         from rclpy.qos import qos_policy_name_from_kind
 
-        def cannot_hear(event: Any) -> None:
+        def on_incompatible_qos(event: Any) -> None:
             policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
             node.get_logger().warning(
-                f"a publisher of {node.resolve_topic_name(self.name)} cannot be heard for its "
-                f"{policy}: reliable and transient_local, keeping the last, would be right"
+                f"no messages from a publisher of {node.resolve_topic_name(self.name)}: its "
+                f"{policy} is incompatible; reliable, transient_local and keep_last would be right"
             )
 
         return node.create_subscription(
             class_of(self.kind),
             self.name,
-            hear,
-            latest(held),
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=cannot_hear),
+            callback,
+            latest(depth),
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_incompatible_qos),
             raw=True,
         )
 
@@ -114,9 +118,9 @@ class Service(NamedTuple):
     name: str
     kind: str
 
-    def serve(self, node: Node, answer: Callable[[Any, Any], Any]) -> rclpy.service.Service:
-        """Return a new service of ``node``."""
-        return node.create_service(class_of(self.kind), self.name, answer)
+    def serve(self, node: Node, callback: Callable[[Any, Any], Any]) -> rclpy.service.Service:
+        """Return a new service of ``node``; ``callback`` fills in the response to a request."""
+        return node.create_service(class_of(self.kind), self.name, callback)
 
     def call(self, node: Node) -> Client:
         """Return a new client of ``node``."""
@@ -124,13 +128,15 @@ class Service(NamedTuple):
 
 
 CLOCK = Topic("clock", "rosgraph_msgs/msg/Clock")
-PHASE = Topic("cpg/phase", "std_msgs/msg/Float64")
+PHASE = Topic("cpg/phase", JOINT_STATE)
+BARE_PHASE = Topic("cpg/phase", "std_msgs/msg/Float64")
+"""In older bags, whose phase has no stamp: a multiple of 1 / ``gait.ticks``."""
 FALLS = Topic("falls", "std_msgs/msg/Int64")
 ODOMETRY = Topic("odometry", "nav_msgs/msg/Odometry")
 DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 RECORDED = Topic("recorder/tick", "std_msgs/msg/Int64")
 
-CARD = Topic("run/card", "std_msgs/msg/String")
+RUN_METADATA = Topic("run/card", "std_msgs/msg/String")
 VALUES = Topic("run/values", "std_msgs/msg/Float64MultiArray")
 VISITS = Topic("run/visits", "std_msgs/msg/Int64MultiArray")
 CRC = Topic("run/crc", "std_msgs/msg/UInt32MultiArray")
@@ -147,15 +153,15 @@ def joint_states(leg: str) -> Topic:
 
 
 def contact(leg: str) -> Topic:
-    """Return the topic of what a leg's foot feels."""
+    """Return the topic of a leg's foot sensors."""
     return Topic(f"{leg}/contact", JOINT_STATE)
 
 
 def command(leg: str) -> Topic:
-    """Return the topic of what a leg asks of its motors."""
+    """Return the topic of the commands for a leg's motors."""
     return Topic(f"{leg}/command", JOINT_STATE)
 
 
 def transition(leg: str) -> Topic:
-    """Return the topic of what a leg did in the tick that ended, and what it was paid for it."""
+    """Return the topic of a leg's transitions: state, action, reward and next state."""
     return Topic(f"{leg}/transition", JOINT_STATE)

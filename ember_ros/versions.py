@@ -1,4 +1,4 @@
-"""The versions of what a run's bits depend on and, apart from them, where and when it was. Pure."""
+"""The versions that a run's bits depend on, and the provenance, which they do not. Pure."""
 
 from __future__ import annotations
 
@@ -11,28 +11,34 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import ember_ros
-
 GIT_S = 10.0
-"""Wall time that git may take."""
+"""Maximum wall time of a git command, s."""
+
+
+def version() -> str:
+    """Return the version of this package; ``unknown`` in a bare checkout on the path."""
+    try:
+        return importlib.metadata.version("ember_ros")
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what a run's bits depend on."""
-    found = {"ember_ros": ember_ros.__version__, "python": platform.python_version()}
+    """Return the versions of this package, Python and the libraries that a run's bits depend on."""
+    numbers = {"ember_ros": version(), "python": platform.python_version()}
     for name in ("numpy", "pybullet", "rclpy"):
         try:
-            found[name] = importlib.metadata.version(name)
+            numbers[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            numbers[name] = "not installed"
+    return numbers
 
 
 def provenance() -> dict[str, str]:
-    """Return where and when something is run: for people, since none of it may decide.
+    """Return when and where the run takes place, for human readers.
 
-    Nothing that names or compares runs looks at it: the same run makes the same bits, and the same
-    MCAP file, on any of these days and machines.
+    Nothing that names or compares runs uses it: the same run gives the same bits, and the same MCAP
+    file, at any time and on any machine.
     """
     now = datetime.datetime.now(datetime.timezone.utc)
     return {"date": now.isoformat(timespec="seconds"), **_here()}
@@ -42,22 +48,22 @@ def provenance() -> dict[str, str]:
 def _here() -> dict[str, str]:
     import numpy as np
 
-    told: dict[str, Any] = np.show_config(mode="dicts")  # type: ignore[assignment]
-    blas = told.get("Build Dependencies", {}).get("blas", {})
-    simd = told.get("SIMD Extensions", {})
-    said = [blas.get("name"), blas.get("version"), blas.get("openblas configuration")]
+    build: dict[str, Any] = np.show_config(mode="dicts")  # type: ignore[assignment]
+    blas = build.get("Build Dependencies", {}).get("blas", {})
+    simd = build.get("SIMD Extensions", {})
+    blas_parts = [blas.get("name"), blas.get("version"), blas.get("openblas configuration")]
     names = [*simd.get("baseline", []), *simd.get("found", [])]
     return {
         "system": f"{platform.system()} {platform.machine()}, {' '.join(platform.libc_ver())}",
         "cpu": _cpu(),
         "simd": " ".join(names) or "unknown",
-        "blas": " ".join(" ".join(str(each) for each in said if each).split()) or "unknown",
-        "commit": _commit(Path(ember_ros.__file__)),
+        "blas": " ".join(" ".join(str(each) for each in blas_parts if each).split()) or "unknown",
+        "commit": _commit(Path(__file__)),
     }
 
 
 def _cpu() -> str:
-    """Return the CPU's name for itself."""
+    """Return the CPU's model name."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -67,19 +73,19 @@ def _cpu() -> str:
 
 
 def _commit(file: Path) -> str:
-    """Return the commit that a file of ours was checked out from, and whether it was changed since.
+    """Return the commit of the checkout that holds a file, and whether the checkout was changed.
 
-    ``unknown`` without git, and for a package that is installed: the checkout around it, if there
-    is one, is somebody else's.
+    ``unknown`` without git, and for an installed package: a checkout around it belongs to another
+    project.
     """
-    # Not the repository that a hook of git, which may have started us, is about.
-    around = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    # A git hook that started this process may have set GIT_DIR to another repository.
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
 
-    def git(*what: str) -> str:
+    def git(*args: str) -> str:
         return subprocess.run(
-            ["git", *what],
+            ["git", *args],
             cwd=file.parent,
-            env=around,
+            env=environment,
             check=True,
             capture_output=True,
             text=True,

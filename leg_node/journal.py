@@ -1,8 +1,9 @@
-"""What makes an acknowledged push last: a snapshot of the table, and a line a push after it. Pure.
+"""A write-ahead journal: no acknowledged push is lost when the table's process is killed. Pure.
 
-Both lie beside the file that the table will be saved to. A snapshot and its journal carry the same
-generation: a journal of an older one is already in the snapshot. After the death of the process,
-the two together are the table as everybody was told it is; after a good end both are gone.
+A snapshot holds the table; the journal holds one line for each push after the snapshot. Both are
+next to the file that the table will be saved to. They carry the same generation number: a journal
+of an older generation is contained in the snapshot already. After a crash, the snapshot and the
+journal together give the table that the legs know. After a regular end, both are removed.
 """
 
 from __future__ import annotations
@@ -12,39 +13,41 @@ import os
 from pathlib import Path
 from typing import Any
 
+from ember_ros.bounded_io import open_file
 from ember_ros.errors import TableError
-from ember_ros.given import open_file
-from ember_ros.signals import Pair
-from leg_node.shared import Push
+from ember_ros.signals import TDUpdate
+from leg_node.shared import UpdateBatch
 
 ENDINGS = (".journal", ".snapshot.npz")
-"""Behind the name of the table's file: the journal and the snapshot."""
-MOST_PUSHES = 1024
-"""Pushes after which a new snapshot is due: bounds the file and the time to read it."""
+"""Appended to the name of the table's file: the journal and the snapshot."""
+MAX_BATCHES = 1024
+"""Pushes after which a new snapshot is due; bounds the file's size and the time to read it."""
 
 
-def to_json(push: Push) -> list[Any]:
+def to_json(push: UpdateBatch) -> list[Any]:
     """Return a push as plain lists; floats survive JSON bit for bit."""
-    return [*push[:-1], [list(pair) for pair in push.pairs]]
+    return [*push[:-1], [list(update) for update in push.updates]]
 
 
-def from_json(content: list[Any]) -> Push:
-    """Return the push in plain lists."""
-    leg, run, epoch, cells_sha256, pairs = content
-    return Push(leg, run, epoch, cells_sha256, tuple(Pair(*pair) for pair in pairs))
+def from_json(content: list[Any]) -> UpdateBatch:
+    """Return the push that ``to_json`` made these lists of."""
+    leg, run, epoch, cells_sha256, updates = content
+    return UpdateBatch(
+        leg, run, epoch, cells_sha256, tuple(TDUpdate(*update) for update in updates)
+    )
 
 
 class Journal:
-    """The pushes since a snapshot; the snapshot itself is written by its owner."""
+    """The file of all pushes since a snapshot; the owner writes the snapshot itself."""
 
     def __init__(self, table_file: Path) -> None:
-        """Keep the journal of ``table_file`` beside it."""
+        """Create a journal next to ``table_file``; ``start`` opens its file."""
         self.file, self.snapshot = (table_file.with_name(table_file.name + end) for end in ENDINGS)
         self.pushes = 0
         self._out: Any = None
 
-    def begin(self, generation: int) -> None:
-        """Begin anew after a snapshot was written.
+    def start(self, generation: int) -> None:
+        """Start a new file after a snapshot was written.
 
         Raises:
             TableError: the file cannot be written.
@@ -53,31 +56,31 @@ class Journal:
         draft = self.file.with_name(self.file.name + ".new")
         try:
             self._out = draft.open("w", encoding="utf-8")
-            self._line({"generation": generation})
+            self._write_line({"generation": generation})
             os.replace(draft, self.file)
         except OSError as error:
             raise TableError(f"cannot write {self.file}: {error.strerror}") from error
         self.pushes = 0
 
-    def add(self, push: Push) -> None:
-        """Write a push down before it is acknowledged.
+    def add(self, push: UpdateBatch) -> None:
+        """Write a push, before it is acknowledged.
 
         Raises:
             TableError: the file cannot be written; the push is not durable.
         """
         try:
-            self._line(to_json(push))
+            self._write_line(to_json(push))
         except OSError as error:
             raise TableError(f"cannot write {self.file}: {error.strerror}") from error
         self.pushes += 1
 
-    def _line(self, content: Any) -> None:
+    def _write_line(self, content: Any) -> None:
         self._out.write(json.dumps(content) + "\n")
-        self._out.flush()  # to the system: it outlives this process
+        self._out.flush()  # the operating system has it now, even if this process is killed
 
-    def read(self, generation: int) -> list[Push]:
-        """Return the pushes since the snapshot of a generation, up to the first torn line."""
-        pushes: list[Push] = []
+    def read(self, generation: int) -> list[UpdateBatch]:
+        """Return the pushes since the snapshot of a generation, up to the first incomplete line."""
+        pushes: list[UpdateBatch] = []
         try:
             with open_file(self.file) as raw:
                 lines = raw.read().decode(errors="replace").splitlines()
@@ -86,17 +89,17 @@ class Journal:
             for line in lines[1:]:
                 pushes.append(from_json(json.loads(line)))
         except (OSError, ValueError, IndexError, TypeError, RecursionError):
-            pass  # torn where the process died: that push was not acknowledged
+            pass  # the process was killed during this line: the push was not acknowledged
         return pushes
 
     def close(self) -> None:
-        """Close the file and leave it."""
+        """Close the file; it stays on disk."""
         if self._out is not None:
             self._out.close()
             self._out = None
 
     def remove(self) -> None:
-        """Close and remove both files: the table's own file holds everything."""
+        """Close the journal; remove it and the snapshot: the table's own file holds everything."""
         self.close()
         self.file.unlink(missing_ok=True)
         self.snapshot.unlink(missing_ok=True)

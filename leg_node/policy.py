@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 
 from ember_ros import kinematics
 from ember_ros.params import Learning, Params
-from ember_ros.signals import LegSense, Phase
-from leg_node.gait import LegGait
-from leg_node.reading import Reading
+from ember_ros.signals import LegSense
+from leg_node.gait import GaitStep
 
-POLICIES = ("learned", "scripted", "random")
+QValues = Callable[[int, int], list[float]]
+"""``(tick, state) -> one value an action``, as a learner believes them."""
 
 
 class Policy(Protocol):
-    """Chooses an action."""
+    """Chooses an action.
 
-    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
-        """Return the position of the knee speed in ``leg.knee_speeds``."""
+    Made with ``(params, numbers, q_values, rng, start_cycle)``: all parameters; the learning
+    numbers of the stage; what the learner believes; a generator of its own; cycles that went before
+    the first tick. Name one of your own by its dotted path: ``--policy my_package.module.Mine``.
+    """
+
+    def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
+        """Return the position of the knee speed in ``leg.knee_speeds``.
+
+        Args:
+            sense: of the leg.
+            gait: what its gait says of the tick that begins.
+            state: of the leg, as its discretizer says.
+        """
         ...
 
 
@@ -38,29 +50,19 @@ class EpsilonGreedy:
 
     def __init__(
         self,
-        reading: Reading,
-        learning: Learning,
-        actions: int,
-        ticks: int,
+        params: Params,
+        numbers: Learning,
+        q_values: QValues,
         rng: np.random.Generator,
         start_cycle: int = 0,
     ) -> None:
-        """Choose among ``actions`` by ``reading``, exploring as ``learning`` says.
-
-        Args:
-            reading: of the table.
-            learning: how the share of random actions falls.
-            actions: how many there are.
-            ticks: of a cycle.
-            rng: for random actions and ties.
-            start_cycle: cycles that went before the first tick.
-        """
+        """Choose by ``q_values`` and explore as ``numbers`` say; ``rng`` also breaks ties."""
+        self._q_values, self._learning, self._rng = q_values, numbers, rng
+        self._actions, self._ticks = len(params.leg.knee_speeds), params.gait.ticks
         self._start_cycle = start_cycle
-        self._reading, self._learning, self._rng = reading, learning, rng
-        self._actions, self._ticks = actions, ticks
         self._cycle, self._epsilon = -1, 0.0  # epsilon is worked out once a cycle
 
-    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
+    def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
         """Return the best action, or any with probability epsilon."""
         rng = self._rng
         cycle = sense.tick // self._ticks
@@ -71,7 +73,7 @@ class EpsilonGreedy:
             )
         if rng.random() < self._epsilon:
             return int(rng.integers(self._actions))
-        row = self._reading.row(sense.tick, state)
+        row = self._q_values(sense.tick, state)
         best = max(row)
         if row.count(best) == 1:
             return row.index(best)
@@ -82,11 +84,18 @@ class EpsilonGreedy:
 class Random:
     """Any action, always: what a leg is worth that learns nothing."""
 
-    def __init__(self, actions: int, rng: np.random.Generator) -> None:
-        """Draw among ``actions`` from ``rng``."""
-        self._actions, self._rng = actions, rng
+    def __init__(
+        self,
+        params: Params,
+        numbers: Learning,
+        q_values: QValues,
+        rng: np.random.Generator,
+        start_cycle: int = 0,
+    ) -> None:
+        """Draw among the actions of ``params`` from ``rng``."""
+        self._actions, self._rng = len(params.leg.knee_speeds), rng
 
-    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
+    def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
         """Return any action."""
         return int(self._rng.integers(self._actions))
 
@@ -98,27 +107,33 @@ class Scripted:
     wanted. It shows that a body can be walked at all.
     """
 
-    SWING_BEND = 1.4  # rad: nearly all the knee has
-    REACH_TICKS = 3  # ticks before stance in which the knee is put down
-
-    def __init__(self, params: Params, gait: LegGait) -> None:
+    def __init__(
+        self,
+        params: Params,
+        numbers: Learning,
+        q_values: QValues,
+        rng: np.random.Generator,
+        start_cycle: int = 0,
+    ) -> None:
         """Take geometry and speeds from ``params``."""
-        self._leg, self._gait = params.leg, gait
+        self._leg, self._script = params.leg, params.script
         self._tick_s = params.gait.tick_s
-        self._ahead = self.REACH_TICKS / params.gait.ticks
         self._front = params.gait.hip_front
 
-    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
+    def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
         """Return the speed nearest to what brings the knee where it should be in a tick."""
         pitch = sense.inclination + sense.knee - sense.hip
         height = self._leg.operating_height
-        if self._gait.stance(phase):
-            thigh = self._gait.hip_goal(phase) + pitch
-            goal = kinematics.knee_for_height(self._leg, thigh, height)
-        elif self._gait.stance(phase + self._ahead):
+        if gait.stance:
+            goal = kinematics.knee_for_height(self._leg, gait.hip_goal + pitch, height)
+        elif gait.ticks_to_stance <= self._script.reach_ticks:
             goal = kinematics.knee_for_height(self._leg, self._front + pitch, height)
         else:
-            goal = self.SWING_BEND
+            goal = self._script.swing_bend
         wanted = (goal - sense.knee) / self._tick_s
         speeds = self._leg.knee_speeds
         return min(range(len(speeds)), key=lambda n: abs(speeds[n] - wanted))
+
+
+POLICIES = {"learned": EpsilonGreedy, "scripted": Scripted, "random": Random}
+"""The policies that have a name."""

@@ -1,10 +1,10 @@
 """What a leg is rewarded for, from its own senses (paper, section VI-A). Pure.
 
-Each term is a function of its own; ``Rewarder`` weighs them, one set for stance and another for
+Each term is a function of its own; ``PaperReward`` weighs them, one set for stance and another for
 swing; the reward is their sum. The switch between the two is synchronous with the hip, but may lead
-it by ``reward.lead`` ticks (``LegGait.rewarded_as_stance``). To swap a reward, write a class with
-``names`` and ``terms`` and give it to the leg module: whoever reports what a leg was paid reads it
-from the leg's ``Transition``.
+it by ``reward.lead`` ticks: a foot that comes down just before it has to carry does what it should.
+To swap a reward, write a class with ``names`` and ``terms`` and name it as ``parts.reward``:
+whoever reports a reward reads it from the leg's ``Transition``.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def force_term(reward: Reward, loads: float) -> float:
 
 
 class RewardFunction(Protocol):
-    """What a leg is paid for a tick, as named terms."""
+    """What a tick is worth, as named terms; made with ``(params)``."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -40,11 +40,16 @@ class RewardFunction(Protocol):
         ...
 
     def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
-        """Return the weighted terms that apply, by name; the reward is their sum."""
+        """Return the weighted terms that apply, by name; the reward is their sum.
+
+        Args:
+            sense: at the end of the tick that is rewarded.
+            stance: whether that tick is rewarded as stance is.
+        """
         ...
 
 
-class Rewarder:
+class PaperReward:
     """The paper's reward of one tick.
 
     Stance, in contact: slip + height - excess force; without contact: lost contact + height.

@@ -19,20 +19,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ember_ros.errors import PushError
+from ember_ros.errors import UpdateError
 from ember_ros.params import Rate
-from ember_ros.signals import LEGS, Pair
+from ember_ros.signals import TDUpdate
 from leg_node.table import Floats, Ints, Table
 
-MOST_PENDING = 64
+MAX_PENDING = 64
 """Epochs that may lie unmerged before a push merges the oldest: bounds the memory."""
-MOST_RUNS = 16
+MAX_RUNS = 16
 """Runs of one leg whose last epoch is remembered: bounds the memory."""
 NO_EPOCH = -2
 """Before the first pull; the table as it is before epoch 0 is pulled as epoch -1."""
 
 
-class Push(NamedTuple):
+class UpdateBatch(NamedTuple):
     """The pairs of one leg in one epoch; (leg, run, epoch) names it."""
 
     leg: int
@@ -42,7 +42,7 @@ class Push(NamedTuple):
     epoch: int
     cells_sha256: str
     """SHA-256 of what gives cells their meaning (``params.cells_sha256``)."""
-    pairs: tuple[Pair, ...]
+    updates: tuple[TDUpdate, ...]
 
 
 class Changes(NamedTuple):
@@ -61,11 +61,14 @@ class Changes(NamedTuple):
 class SharedTable:
     """The merged table and the pushes that wait to be merged."""
 
-    def __init__(self, table: Table, *, cells: str, rate: Rate, version: int = 0) -> None:
+    def __init__(
+        self, table: Table, *, legs: int, cells: str, rate: Rate, version: int = 0
+    ) -> None:
         """Start from ``table``, which is owned from now on.
 
         Args:
             table: what was learnt before.
+            legs: how many there are.
             cells: SHA-256 that each push must carry.
             rate: bounds of the learning rate.
             version: to count from; beyond all versions of an earlier life of the same table.
@@ -73,21 +76,20 @@ class SharedTable:
         self.table = table
         self.version = version
         self.learning = True
-        self._cells = cells
-        self._rate = rate
+        self._legs, self._cells, self._rate = legs, cells, rate
         self._changed: Ints = np.full(len(table), version, dtype=np.int64)
         self._answer: tuple[tuple[int, int], Changes] | None = None
-        self._pending: dict[int, list[Push]] = {}
+        self._pending: dict[int, list[UpdateBatch]] = {}
         self._done: dict[int, dict[str, int]] = {}
 
-    def push(self, push: Push) -> bool:
+    def push(self, push: UpdateBatch) -> bool:
         """Take the pairs of an epoch.
 
         Returns:
             False if this push, or a later one of its run, was taken before: nothing changed now.
 
         Raises:
-            PushError: it is malformed; nothing of it is taken.
+            UpdateError: it is malformed; nothing of it is taken.
         """
         self._check(push)
         runs = self._done.setdefault(push.leg, {})
@@ -95,11 +97,11 @@ class SharedTable:
             return False
         runs.pop(push.run, None)  # to the end of the order in which runs are forgotten
         runs[push.run] = push.epoch
-        while len(runs) > MOST_RUNS:
+        while len(runs) > MAX_RUNS:
             runs.pop(next(iter(runs)))
         if self.learning:
             self._pending.setdefault(push.epoch, []).append(push)
-            if len(self._pending) > MOST_PENDING:
+            if len(self._pending) > MAX_PENDING:
                 self.merge(min(self._pending))
         return True
 
@@ -134,29 +136,31 @@ class SharedTable:
         if not due:
             return
         self.version += 1
-        for pair in self._in_order(due):
-            self.table.update(pair.cell, pair.target, self._rate)
-            self._changed[pair.cell] = self.version
+        for update in self._in_order(due):
+            self.table.update(update.cell, update.target, self._rate)
+            self._changed[update.cell] = self.version
         for epoch in due:
             del self._pending[epoch]
 
-    def _in_order(self, epochs: Iterable[int]) -> Iterator[Pair]:
+    def _in_order(self, epochs: Iterable[int]) -> Iterator[TDUpdate]:
         """Yield the pending pairs of epochs as they are to be merged: epoch, tick, leg."""
         for epoch in sorted(epochs):
             pushes = self._pending[epoch]
-            pairs = [(pair.tick, push.leg, pair) for push in pushes for pair in push.pairs]
-            for _, _, pair in sorted(pairs):
-                yield pair
+            updates = [
+                (update.tick, push.leg, update) for push in pushes for update in push.updates
+            ]
+            for _, _, update in sorted(updates):
+                yield update
 
     def preview(self) -> Table:
         """Return the table as it would be with everything merged, and merge nothing."""
         table = Table(self.table.states, self.table.actions)
         table.copy_from(self.table)
-        for pair in self._in_order(self._pending):
-            table.update(pair.cell, pair.target, self._rate)
+        for update in self._in_order(self._pending):
+            table.update(update.cell, update.target, self._rate)
         return table
 
-    def pending(self) -> list[Push]:
+    def pending(self) -> list[UpdateBatch]:
         """Return the pushes that are not merged yet."""
         return [push for pushes in self._pending.values() for push in pushes]
 
@@ -164,34 +168,34 @@ class SharedTable:
         """Return the last epoch of each run of each leg."""
         return {leg: dict(runs) for leg, runs in self._done.items()}
 
-    def restore(self, done: dict[int, dict[str, int]], pending: list[Push]) -> None:
+    def restore(self, done: dict[int, dict[str, int]], pending: list[UpdateBatch]) -> None:
         """Take up what an earlier life of this table had taken and not merged."""
         self._done = {leg: dict(runs) for leg, runs in done.items()}
         for push in pending:
             self._pending.setdefault(push.epoch, []).append(push)
 
-    def _check(self, push: Push) -> None:
+    def _check(self, push: UpdateBatch) -> None:
         if push.cells_sha256 != self._cells:
-            raise PushError(
+            raise UpdateError(
                 f"push of leg {push.leg}, epoch {push.epoch}: learnt with other parameters (cells "
                 f"{push.cells_sha256[:12]}..., here {self._cells[:12]}...); give the leg and the "
                 "table the same parameter file"
             )
-        if not 0 <= push.leg < len(LEGS) or push.epoch < 0 or not push.run:
-            raise PushError(
+        if not 0 <= push.leg < self._legs or push.epoch < 0 or not push.run:
+            raise UpdateError(
                 f"push of leg {push.leg}, run {push.run!r}, epoch {push.epoch}: leg must be 0 to "
-                f"{len(LEGS) - 1}, epoch 0 or more, and the run must have a name"
+                f"{self._legs - 1}, epoch 0 or more, and the run must have a name"
             )
-        for pair in push.pairs:
-            if not 0 <= pair.cell < len(self.table):
-                raise PushError(
-                    f"push of leg {push.leg}, epoch {push.epoch}: cell {pair.cell} is not in "
+        for update in push.updates:
+            if not 0 <= update.cell < len(self.table):
+                raise UpdateError(
+                    f"push of leg {push.leg}, epoch {push.epoch}: cell {update.cell} is not in "
                     f"0 to {len(self.table) - 1}"
                 )
-            if pair.tick < 0 or pair.target - pair.target != 0.0:
-                raise PushError(
-                    f"push of leg {push.leg}, epoch {push.epoch}: the target of cell {pair.cell} "
-                    f"at tick {pair.tick} is {pair.target}; a finite number and a tick of 0 or "
+            if update.tick < 0 or update.target - update.target != 0.0:
+                raise UpdateError(
+                    f"push of leg {push.leg}, epoch {push.epoch}: the target of cell {update.cell} "
+                    f"at tick {update.tick} is {update.target}; a finite number and a tick of 0 or "
                     "more would be right"
                 )
 
@@ -218,24 +222,23 @@ class LocalCopy:
         self._sync_every = sync_every
         self._leg, self._run, self._cells, self._rate = leg, run, cells, rate
         self._epoch = NO_EPOCH
-        self._pairs: list[Pair] = []
-        self._unmerged: list[Push] = []
+        self._pairs: list[TDUpdate] = []
+        self._unmerged: list[UpdateBatch] = []
         self._sent = 0  # how many of _unmerged are acknowledged, from the front
         self._base: dict[int, tuple[float, int]] = {}  # touched cells as the shared table has them
 
-    def learn(self, pair: Pair) -> None:
-        """Apply an update at once and keep its pair for the next push."""
+    def learn(self, update: TDUpdate) -> float:
+        """Apply an update at once, keep its pair for the next push, and return its error."""
         if self._sync_every:
-            self._pairs.append(pair)
-            self._lay(pair)
-        else:
-            self.table.update(pair.cell, pair.target, self._rate)
+            self._pairs.append(update)
+            return self._reapply(update)
+        return self.table.update(update.cell, update.target, self._rate)
 
-    def _lay(self, pair: Pair) -> None:
+    def _reapply(self, update: TDUpdate) -> float:
         """Apply an update on top of the shared content, remembering what lies below."""
-        if pair.cell not in self._base:
-            self._base[pair.cell] = self.table.cell(pair.cell)
-        self.table.update(pair.cell, pair.target, self._rate)
+        if update.cell not in self._base:
+            self._base[update.cell] = self.table.cell(update.cell)
+        return self.table.update(update.cell, update.target, self._rate)
 
     def pull_due(self, tick: int) -> int | None:
         """Return the epoch up to which to pull before the tick is acted on, or None."""
@@ -244,7 +247,7 @@ class LocalCopy:
         upto = tick // self._sync_every - 1
         return upto if upto > self._epoch else None
 
-    def take(self, changes: Changes, upto: int) -> None:
+    def apply(self, changes: Changes, upto: int) -> None:
         """Take over what changed up to an epoch, and lay what is not yet in it back on top."""
         for cell, content in self._base.items():
             self.table.put(cell, *content)
@@ -257,12 +260,12 @@ class LocalCopy:
         self._sent -= len(self._unmerged) - len(left)
         self._unmerged = left
         for push in self._unmerged:
-            for pair in push.pairs:
-                self._lay(pair)
-        for pair in self._pairs:
-            self._lay(pair)
+            for update in push.updates:
+                self._reapply(update)
+        for update in self._pairs:
+            self._reapply(update)
 
-    def go_without(self, upto: int) -> None:
+    def skip_sync(self, upto: int) -> None:
         """Note that the shared table would not give what it has up to an epoch."""
         self._epoch = upto
 
@@ -271,21 +274,21 @@ class LocalCopy:
         if not self._pairs or not (early or (tick + 1) % self._sync_every == 0):
             return False
         epoch = tick // self._sync_every
-        push = Push(self._leg, self._run, epoch, self._cells, tuple(self._pairs))
+        push = UpdateBatch(self._leg, self._run, epoch, self._cells, tuple(self._pairs))
         self._unmerged.append(push)
         self._pairs.clear()
         return True
 
-    def push_due(self) -> Push | None:
+    def push_due(self) -> UpdateBatch | None:
         """Return the oldest push that was not acknowledged, or None."""
         return self._unmerged[self._sent] if self._sent < len(self._unmerged) else None
 
-    def acknowledged(self, push: Push) -> None:
+    def acknowledged(self, push: UpdateBatch) -> None:
         """Note that the shared table has a push for good."""
         if self.push_due() is push:
             self._sent += 1
 
-    def restart(self, last_tick: int, run: str) -> None:
+    def reset(self, last_tick: int, run: str) -> None:
         """Begin a new life: ticks, and so epochs, begin anew; nothing learnt is dropped."""
         self.close_epoch(last_tick, early=True)
         self._run, self._epoch = run, NO_EPOCH

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ember_ros.params import Params, Rate
+from ember_ros.params import Rate
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -42,6 +42,22 @@ class Table:
         self._value: Any = self.values.data
         self._visit: Any = self.visits.data
 
+    def parts(self, count: int) -> list[Table]:
+        """Return ``count`` tables of equal size, one behind the other, that share this memory."""
+        states = self.states // count
+        cells = states * self.actions
+        return (
+            [self._part(states, slice(n * cells, (n + 1) * cells)) for n in range(count)]
+            if count > 1
+            else [self]
+        )
+
+    def _part(self, states: int, cells: slice) -> Table:
+        part = Table(0, self.actions)
+        part.states, part.values, part.visits = states, self.values[cells], self.visits[cells]
+        part._value, part._visit = part.values.data, part.visits.data
+        return part
+
     def __len__(self) -> int:
         """Return the number of cells."""
         return self.states * self.actions
@@ -61,10 +77,13 @@ class Table:
         self._value[index] = value
         self._visit[index] = visits
 
-    def update(self, index: int, target: float, rate: Rate) -> None:
+    def update(self, index: int, target: float, rate: Rate) -> float:
         """Move one cell towards ``target``: ``N += 1; Q += alpha (target - Q)``.
 
         ``alpha`` is ``1 / N`` within the bounds of ``rate``.
+
+        Returns:
+            ``target - Q`` as it was before: the temporal-difference error.
         """
         floor, ceiling = rate
         visits = self._visit[index] + 1
@@ -73,9 +92,11 @@ class Table:
             alpha = floor
         elif alpha > ceiling:
             alpha = ceiling
-        value = self._value[index]
+        value: float = self._value[index]
+        error = target - value
         self._visit[index] = visits
-        self._value[index] = value + alpha * (target - value)
+        self._value[index] = value + alpha * error
+        return error
 
     def copy_from(self, other: Table) -> None:
         """Take over all cells of a table of the same size."""
@@ -88,10 +109,3 @@ class Table:
         digest.update(self.values.astype("<f8").tobytes())
         digest.update(self.visits.astype("<i8").tobytes())
         return digest.hexdigest()
-
-
-def empty_table(params: Params) -> Table:
-    """Return an empty table of the size that the parameters ask for."""
-    state = params.state
-    states = state.hip_bins * (len(state.force_edges) + 1) * (len(state.inclination_edges) + 1) * 4
-    return Table(states, len(params.leg.knee_speeds))

@@ -13,30 +13,37 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from ember_ros import calls, topics
-from ember_ros.errors import EmberError, PushError, TableError
+from ember_ros import topics
+from ember_ros.errors import EmberError, TableError, UpdateError
+from ember_ros.name_lock import SingleNode
 from ember_ros.params import as_dict, cells_sha256
 from ember_ros.ros_params import declare_options, declare_params
-from ember_ros.seat import Seated
-from ember_ros.spinning import main_of
+from ember_ros.spinning import node_main
 from ember_ros.throttle import Throttle
-from leg_node.journal import MOST_PUSHES, Journal, from_json, to_json
+from leg_node import calls
+from leg_node.assembly import empty_table, numbers_of
+from leg_node.journal import MAX_BATCHES, Journal, from_json, to_json
 from leg_node.shared import SharedTable
-from leg_node.table import Table, empty_table
-from leg_node.table_file import load_table, save_table, told_differences
+from leg_node.table import Table
+from leg_node.table_file import describe_differences, load_table, save_table
 
 
-class TableNode(Seated, Node):  # type: ignore[misc]
-    """Merges what the legs push, answers what they pull, never waits for anybody.
+class TableNode(SingleNode, Node):  # type: ignore[misc]
+    """Stores the Q-table that all legs share.
+
+    The legs push their updates of an epoch and pull the merged table. The order in which pushes
+    arrive changes no bit of the result. The node never waits for a leg. With ``save`` set, each
+    push is written to a journal before it is acknowledged, so a crash loses no acknowledged push;
+    the table itself is written when the node ends and by ``table/save``.
 
     Services: ``table/push`` (rcl_interfaces/SetParametersAtomically),
     ``table/pull`` (rcl_interfaces/GetParameters), ``table/save`` (std_srvs/Trigger),
     ``table/learning`` (std_srvs/SetBool).
-    Parameters: ``gait.*``, ``leg.*``, ``state.*``, ``train.*``, ``walk.*``; ``stage``, ``table``,
-    ``save``, ``seed``.
+    Parameters: ``gait.*``, ``leg.*``, ``robot.*``, ``parts.*``, ``state.*``, ``train.*``,
+    ``walk.*``; ``stage``, ``table``, ``save``, ``seed``.
     """
 
-    GROUPS = ("gait", "leg", "state", "train", "walk")
+    GROUPS = ("gait", "leg", "robot", "parts", "state", "train", "walk")
     OPTIONS = ("stage", "table", "save", "seed")
 
     def __init__(self, **kwargs: Any) -> None:
@@ -45,7 +52,7 @@ class TableNode(Seated, Node):  # type: ignore[misc]
         Raises:
             ParameterError: a parameter is unknown or out of range.
             TableError: the file ``table`` cannot be used.
-            TakenError: there is another table in this namespace.
+            NameTakenError: there is another table in this namespace.
         """
         super().__init__(
             "table_node", automatically_declare_parameters_from_overrides=True, **kwargs
@@ -53,50 +60,58 @@ class TableNode(Seated, Node):  # type: ignore[misc]
         self.done = False
         self._params = params = declare_params(self, self.GROUPS)
         options = declare_options(self, self.OPTIONS)
-        self.take_seat(topics.PUSH)  # before any file: they are the other one's, maybe
+        self.lock_name(topics.PUSH)  # before any file is touched: another table may own them
         self._save = Path(options["save"]) if options["save"] else None
         self._seed = options["seed"]
-        self._numbers = params.walk if options["stage"] == "walk" else params.train
+        self._numbers = numbers_of(params, options["stage"])
         self._journal = Journal(self._save) if self._save else None
-        self._born = time.time_ns()  # versions of a later life are greater than all before
+        self._first_version = time.time_ns()  # greater than all versions of an earlier process
         self._generation = 0
-        restored = self._take_up()
-        self._has_past = restored or bool(options["table"])
+        restored = self._recover()
+        self._has_history = restored or bool(options["table"])
         if not restored:
-            given = Path(options["table"]) if options["table"] else None
-            if given is None and self._save is not None and self._save.exists():
-                given = self._save  # never replace what was learnt by less
-                self._has_past = True
-                self.get_logger().warning(f"going on from {given}, which is there already")
-            table, about = load_table(given, params) if given else (empty_table(params), {})
-            if given:
-                other = told_differences(given, about, params, self.GROUPS)
-                if other is not None:
-                    self.get_logger().warning(other)
-            self.shared = self._share(table)
+            file = Path(options["table"]) if options["table"] else None
+            if file is None and self._save is not None and self._save.exists():
+                file = self._save  # never overwrite a learnt table with an empty one
+                self._has_history = True
+                self.get_logger().warning(f"continuing from {file}, which exists already")
+            table, about = load_table(file, params) if file else (empty_table(params), {})
+            if file:
+                differences = describe_differences(file, about, params, self.GROUPS)
+                if differences is not None:
+                    self.get_logger().warning(differences)
+            self.shared = self._shared_table(table)
         if self._journal:
             self._snapshot()
         else:
-            self.get_logger().info("what is learnt will be lost: no -p save:=FILE.npz was given")
+            self.get_logger().info("the table will not be saved; -p save:=FILE.npz saves it")
         self.refused = 0
         self._throttle = Throttle(lambda text: self.get_logger().warning(text))
-        topics.PUSH.serve(self, self._push)
-        topics.PULL.serve(self, self._pull)
-        topics.SAVE.serve(self, self._save_now)
-        topics.LEARNING.serve(self, self._set_learning)
+        topics.PUSH.serve(self, self._on_push)
+        topics.PULL.serve(self, self._on_pull)
+        topics.SAVE.serve(self, self._on_save)
+        topics.LEARNING.serve(self, self._on_learning)
 
-    # -- lasting -----------------------------------------------------------------------------
+    # -- durability --------------------------------------------------------------------------
 
-    def _share(self, table: Table) -> SharedTable:
+    def _shared_table(self, table: Table) -> SharedTable:
         return SharedTable(
             table,
+            legs=len(self._params.robot.legs),
             cells=cells_sha256(self._params),
             rate=self._numbers.rate,
-            version=self._born,
+            version=self._first_version,
         )
 
-    def _take_up(self) -> bool:
-        """Go on where an earlier life was cut off: its journal is still there."""
+    def _recover(self) -> bool:
+        """Restore the table of an earlier process that was killed and left its journal.
+
+        Returns:
+            False if there is no journal.
+
+        Raises:
+            TableError: there is a journal, but its snapshot cannot be used.
+        """
         if self._save is None or self._journal is None or not self._journal.file.exists():
             return False
         try:
@@ -104,10 +119,10 @@ class TableNode(Seated, Node):  # type: ignore[misc]
             state = about["shared"]
         except (TableError, KeyError) as why:
             raise TableError(
-                f"{self._journal.file} is left of a table that was cut off, but its snapshot "
-                f"cannot be used ({why}); move both away to start anew"
+                f"{self._journal.file} is the journal of a table_node that was killed, but its "
+                f"snapshot cannot be used ({why}); move both files away to start with a new table"
             ) from None
-        self.shared = self._share(table)
+        self.shared = self._shared_table(table)
         self._generation = state["generation"]
         self.shared.restore(
             {int(leg): runs for leg, runs in state["done"].items()},
@@ -117,13 +132,13 @@ class TableNode(Seated, Node):  # type: ignore[misc]
         for push in later:
             self.shared.push(push)
         self.get_logger().warning(
-            f"taken up where it was cut off: {self._journal.snapshot} and {len(later)} pushes "
-            "after; a table given by table:= is not used"
+            f"recovered after a crash: {self._journal.snapshot} and {len(later)} later pushes; "
+            "the parameter table is ignored"
         )
         return True
 
     def _snapshot(self) -> None:
-        """Write the table with what is not merged, and begin a new journal behind it."""
+        """Write the table and the pushes not merged yet, and start a new journal."""
         assert self._journal is not None
         self._generation += 1
         state = {
@@ -133,59 +148,60 @@ class TableNode(Seated, Node):  # type: ignore[misc]
         }
         notes = {"shared": state}
         save_table(self._journal.snapshot, self.shared.table, self._params, self._seed, notes)
-        self._journal.begin(self._generation)
+        self._journal.start(self._generation)
 
-    # -- answering ---------------------------------------------------------------------------
+    # -- services ----------------------------------------------------------------------------
 
     def _refuse(self, why: EmberError) -> str:
+        """Count a request that is refused; log the count from time to time."""
         self.refused += 1
         self._throttle.remind("refused", f"refused ({self.refused} so far): {why}")
         return str(why)
 
-    def _push(
+    def _on_push(
         self,
         request: SetParametersAtomically.Request,
         response: SetParametersAtomically.Response,
     ) -> SetParametersAtomically.Response:
         try:
             push = calls.read_push(request)
-            fresh = self.shared.push(push)
-            if fresh and self._journal and self.shared.learning:
+            is_new = self.shared.push(push)
+            if is_new and self._journal and self.shared.learning:
                 self._journal.add(push)
-                if self._journal.pushes >= MOST_PUSHES:
+                if self._journal.pushes >= MAX_BATCHES:
                     self._snapshot()
         except EmberError as why:
             response.result.successful = False
             response.result.reason = self._refuse(why)
         else:
             response.result.successful = True
-            response.result.reason = "" if fresh else "taken before: nothing changed"
+            response.result.reason = "" if is_new else "received before: nothing changed"
         return response
 
-    def _pull(
+    def _on_pull(
         self, request: GetParameters.Request, response: GetParameters.Response
     ) -> GetParameters.Response:
         try:
             since, upto, wanted = calls.read_pull(request)
-            if since is not None and 0 <= since < self._born and not self._has_past:
-                raise PushError(
-                    f"pull: version {since} is of a table that was here before; this one was "
-                    "started without its file, and does not overwrite what the leg knows"
+            if since is not None and 0 <= since < self._first_version and not self._has_history:
+                raise UpdateError(
+                    f"pull: version {since} belongs to an earlier table_node; this one was started "
+                    "without its file and does not overwrite what the leg has learnt"
                 )
-        except PushError as why:
+        except UpdateError as why:
             self._refuse(why)
-            return response  # empty: all this type has to say no with
+            return response  # empty: this service type has no other way to refuse
         changes = self.shared.pull(since, upto)
-        response.values = calls.answer_pull(wanted, changes, self._about)
+        response.values = calls.write_pull_response(wanted, changes, self._about)
         return response
 
     def _about(self) -> str:
         return json.dumps({"seed": self._seed, "params": as_dict(self._params)})
 
     def save(self) -> str:
-        """Write the table with all that was pushed, and return its SHA-256.
+        """Write the table with all pushes, and return its SHA-256.
 
-        Nothing is merged for it: a save in the middle of an epoch must not change what is learnt.
+        The pushes are merged in a copy only: saving during an epoch must not change the learning.
 
         Raises:
             TableError: it cannot be written.
@@ -195,9 +211,9 @@ class TableNode(Seated, Node):  # type: ignore[misc]
         save_table(self._save, table, self._params, self._seed)
         return table.sha256()
 
-    def _save_now(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._save is None:
-            response.message = "nowhere to save to: start the node with -p save:=FILE.npz"
+            response.message = "no file to save to: start the node with -p save:=FILE.npz"
             return response
         try:
             response.message = f"{self._save}: {self.save()}"
@@ -206,7 +222,7 @@ class TableNode(Seated, Node):  # type: ignore[misc]
             response.message = str(why)
         return response
 
-    def _set_learning(
+    def _on_learning(
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
         self.shared.learning = request.data
@@ -216,11 +232,11 @@ class TableNode(Seated, Node):  # type: ignore[misc]
         return response
 
     def is_needed(self) -> bool:
-        """Return whether a leg is there that could hand in what it has learnt."""
+        """Return whether a leg is connected that may still push updates."""
         return bool(self.count_clients(topics.PUSH.name))
 
     def finish(self, spin: Callable[[], None]) -> None:
-        """Merge and write the table."""
+        """Merge all pushes and write the table."""
         self.shared.merge()
         if self._journal is not None:
             sha = self.save()
@@ -228,15 +244,15 @@ class TableNode(Seated, Node):  # type: ignore[misc]
             self.get_logger().info(f"table {sha[:12]} is in {self._save}")
 
     def destroy_node(self) -> None:
-        """Destroy the node; snapshot and journal stay unless it was finished."""
+        """Destroy the node; the snapshot and the journal stay unless ``finish`` was called."""
         if self._journal is not None:
             self._journal.close()
         super().destroy_node()
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the node until a signal, serve legs that end at the same time, then write the table."""
-    sys.exit(main_of(TableNode, args, TableNode.is_needed))
+    """Run the node until a signal; serve legs that end at the same time; write the table."""
+    sys.exit(node_main(TableNode, args, TableNode.is_needed))
 
 
 if __name__ == "__main__":

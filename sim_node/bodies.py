@@ -6,13 +6,13 @@ x forward, y left, z up; a positive hip angle swings the thigh forward.
 
 from __future__ import annotations
 
+import itertools
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ember_ros.params import Leg, Params
-from ember_ros.signals import LEGS, TRAINER_LEG
+from ember_ros.params import TRAINER_LEG, Leg, Params
 
 Vector = Sequence[float]
 ORIGIN = (0.0, 0.0, 0.0)
@@ -45,17 +45,17 @@ def _link(
     mass: float,
     inertia: Vector,
     centre: Vector = ORIGIN,
-    seen: Sequence[Shape] = (),
-    felt: Sequence[Shape] = (),
+    visual: Sequence[Shape] = (),
+    collision: Sequence[Shape] = (),
 ) -> None:
-    """Add a link: ``inertia`` is the diagonal at its centre of mass, kg m^2; ``felt`` collides."""
+    """Add a link: ``inertia`` is the diagonal at its centre of mass, kg m^2."""
     link = ET.SubElement(robot, "link", name=name)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=_text(centre), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=repr(float(mass)))
     diagonal = {f"i{a}{a}": repr(float(i)) for a, i in zip("xyz", inertia, strict=True)}
     ET.SubElement(inertial, "inertia", {**diagonal, "ixy": "0", "ixz": "0", "iyz": "0"})
-    for kind, shapes in (("visual", seen), ("collision", felt)):
+    for kind, shapes in (("visual", visual), ("collision", collision)):
         for shape in shapes:
             part = ET.SubElement(link, kind)
             ET.SubElement(part, "origin", xyz=_text(shape.at), rpy=_text(shape.turned))
@@ -144,7 +144,7 @@ def _add_leg(
     _link(robot, shank, leg.shank_mass, _rod(leg.shank_mass, reach), down, [rod, knee], [knee])
     _joint(robot, f"{name}_ankle", shank, foot, (0, 0, -reach))
     ball = 0.4 * leg.foot_mass * leg.foot_radius**2
-    _link(robot, foot, leg.foot_mass, (ball,) * 3, seen=[knee], felt=[knee])
+    _link(robot, foot, leg.foot_mass, (ball,) * 3, visual=[knee], collision=[knee])
 
 
 def _to_xml(robot: ET.Element) -> str:
@@ -152,26 +152,34 @@ def _to_xml(robot: ET.Element) -> str:
     return ET.tostring(robot, encoding="unicode") + "\n"
 
 
-def walker_urdf(params: Params) -> str:
-    """Return the walker: a cylinder in two halves with a twist joint, four legs (figure 4).
+def twist_of(segment: str) -> str:
+    """Return the name of the joint that turns a segment against the one before it."""
+    return f"{segment}_twist"
 
-    The root link ``front`` has its frame in the middle of the body, at the height of the hips.
+
+def walker_urdf(params: Params) -> str:
+    """Return the walker: a cylinder in segments with twist joints between, and its legs (figure 4).
+
+    The root link is the first segment. All segments have their frames in the middle of the body, at
+    the height of the hips.
     """
-    walker = params.walker
+    walker, described = params.walker, params.robot
     robot = ET.Element("robot", name="ember_walker")
-    mass, length, radius = walker.mass / 2, walker.length / 2, walker.radius
+    count = len(described.segments)
+    mass, length, radius = walker.mass / count, walker.length / count, walker.radius
     across = mass * (3 * radius**2 + length**2) / 12
     inertia = (mass * radius**2 / 2, across, across)
-    for name, side in (("front", 1), ("rear", -1)):
-        centre = (side * length / 2, 0.0, 0.0)
-        half = _cylinder(radius, length, at=centre, turned=LYING, colour=(*GREY[:3], 0.6))
-        _link(robot, name, mass, inertia, centre, [half], [half])
-    _joint(robot, "twist", "front", "rear", ORIGIN, axis=(1, 0, 0))
-    for name in LEGS:
-        end, hand = name.split("_")
-        x = walker.hip_forward + (length if end == "front" else -length)
-        y = walker.hip_half_width if hand == "left" else -walker.hip_half_width
-        _add_leg(robot, params.leg, name, end, (x, y, 0.0))
+    for n, name in enumerate(described.segments):
+        centre = (((count - 1) / 2 - n) * length, 0.0, 0.0)
+        part = _cylinder(radius, length, at=centre, turned=LYING, colour=(*GREY[:3], 0.6))
+        _link(robot, name, mass, inertia, centre, [part], [part])
+    for before, name in itertools.pairwise(described.segments):
+        _joint(robot, twist_of(name), before, name, ORIGIN, axis=(1, 0, 0))
+    for name, segment, mount, side in zip(
+        described.legs, described.segment, described.mount, described.side, strict=True
+    ):
+        x = walker.hip_forward + mount * walker.length
+        _add_leg(robot, params.leg, name, segment, (x, side * walker.hip_half_width, 0.0))
     return _to_xml(robot)
 
 
@@ -184,13 +192,14 @@ def trainer_urdf(params: Params) -> str:
     robot = ET.Element("robot", name="ember_trainer")
     half = trainer.bar_length / 2
     bar = _cylinder(0.02, half, at=(half / 2, 0.0, 0.0), turned=LYING)
-    weight = _sphere(0.08, at=(half, 0.0, 0.0), colour=GREY)
+    weight = _sphere(trainer.tip_radius, at=(half, 0.0, 0.0), colour=GREY)
     _link(robot, "stand", 1.0, (1.0, 1.0, 1.0))
     _joint(robot, "axle", "stand", "inner", ORIGIN, axis=(0, 0, 1))
     inner = _rod(trainer.inner_mass, half, "x")
     _link(robot, "inner", trainer.inner_mass, inner, (half / 2, 0.0, 0.0), [bar])
-    _joint(robot, "hinge", "inner", "outer", (half, 0.0, 0.0), axis=(0, -1, 0), limits=(-1, 1))
-    ball = (0.4 * trainer.tip_mass * 0.08**2,) * 3
+    limits = (-trainer.hinge_max, trainer.hinge_max)
+    _joint(robot, "hinge", "inner", "outer", (half, 0.0, 0.0), axis=(0, -1, 0), limits=limits)
+    ball = (0.4 * trainer.tip_mass * trainer.tip_radius**2,) * 3
     _link(robot, "outer", trainer.tip_mass, ball, (half, 0.0, 0.0), [bar, weight])
     _add_leg(robot, params.leg, TRAINER_LEG, "outer", (half, 0.0, 0.0), ACROSS)
     return _to_xml(robot)

@@ -1,7 +1,6 @@
-"""Legs mounted on something in Bullet: their motors and their senses, for both worlds.
+"""Legs mounted on something in Bullet, for both worlds: the physics, and their motors.
 
-Everything a leg senses is made here and nowhere else, the same way on the trainer and on the
-walker: that is what lets a leg be trained on the one and used on the other (paper, section I).
+What a leg senses is worked out in ``sim_node.sensors``, from what is read here.
 """
 
 from __future__ import annotations
@@ -16,10 +15,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ember_ros import kinematics
 from ember_ros.errors import ParameterError
-from ember_ros.params import Params
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase
+from ember_ros.params import Params, Physics
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense
+from sim_node.sensors import LegSensors
 
 
 @contextlib.contextmanager
@@ -40,7 +43,37 @@ with _quiet():
     import pybullet as bullet
 
 
-__all__ = ["BulletWorld", "Ground", "bullet"]
+EYE = (2.5, 50.0, -20.0)
+"""Where the camera is, as seen from the robot: distance, m; yaw and pitch, degrees."""
+
+__all__ = ["BulletWorld", "Ground", "bullet", "set_contact", "set_up"]
+
+
+def set_up(client: int, params: Params) -> None:
+    """Set gravity, the length of a physics step and the solver of an empty physics server."""
+    bullet.setGravity(0, 0, -params.physics.gravity, client)
+    bullet.setPhysicsEngineParameter(
+        fixedTimeStep=params.gait.tick_s / params.physics.substeps,
+        numSolverIterations=params.physics.iterations,
+        deterministicOverlappingPairs=1,
+        physicsClientId=client,
+    )
+
+
+def set_contact(client: int, body: int, link: int, physics: Physics) -> None:
+    """Give a link the friction and the softness of a foot, and nothing that brakes it."""
+    bullet.changeDynamics(
+        body,
+        link,
+        lateralFriction=physics.friction,
+        restitution=0.0,
+        linearDamping=0.0,
+        angularDamping=0.0,
+        jointDamping=0.0,
+        contactStiffness=physics.contact_stiffness,
+        contactDamping=physics.contact_damping,
+        physicsClientId=client,
+    )
 
 
 class Ground:
@@ -57,13 +90,13 @@ class Ground:
         """Lay the ground at height 0, for the heading 0."""
         self._client = client
         plane = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
-        seen = bullet.createVisualShape(
+        visual = bullet.createVisualShape(
             bullet.GEOM_BOX,
             halfExtents=(50, 50, 0.001),
             rgbaColor=(0.93, 0.94, 0.92, 1),
             physicsClientId=client,
         )
-        self._body = bullet.createMultiBody(0, plane, seen, physicsClientId=client)
+        self._body = bullet.createMultiBody(0, plane, visual, physicsClientId=client)
         bullet.changeDynamics(
             self._body,
             -1,
@@ -82,29 +115,14 @@ class Ground:
 
 
 class _Mount:
-    """One leg in Bullet: its indices there, and what its foot went through in this tick."""
+    """One leg in Bullet: its indices there, and its sensors."""
 
-    __slots__ = (
-        "foot", "force", "held", "hip", "inclination", "knee", "peak", "seen", "slide_x", "slide_y",
-        "strength", "touched", "x", "y",
-    )  # fmt: skip
+    __slots__ = ("foot", "held", "hip", "knee", "sensors")
 
-    def __init__(self, hip: int, knee: int, foot: int) -> None:
-        self.hip, self.knee, self.foot = hip, knee, foot
-        self.seen = -1
-        """The physics step in which the foot last touched the ground, there at ``x``, ``y``, m."""
-        self.x = self.y = 0.0
-        self.strength = 0.0
-        """The force in that step, N."""
-        self.inclination = 0.0
+    def __init__(self, hip: int, knee: int, foot: int, sensors: LegSensors) -> None:
+        self.hip, self.knee, self.foot, self.sensors = hip, knee, foot, sensors
         self.held: tuple[float, float] | None = None
         """Where hip and knee are held while the leg gets no command, rad."""
-        self.clear()
-
-    def clear(self) -> None:
-        """Begin a tick."""
-        self.force = self.peak = self.slide_x = self.slide_y = 0.0
-        self.touched = 0
 
 
 class BulletWorld(ABC):
@@ -164,7 +182,7 @@ class BulletWorld(ABC):
         """Finish the freshly loaded robot: joints that no leg owns, friction, the body's pose."""
 
     @abstractmethod
-    def _drive(self, phase: Phase) -> None:
+    def _drive(self, beat: Beat) -> None:
         """Set the motors that no leg owns for the coming tick."""
 
     @abstractmethod
@@ -179,10 +197,16 @@ class BulletWorld(ABC):
     def body(self) -> BodyState:
         """Return the truth about the body, for reports and viewers only."""
 
-    def _look(self) -> None:
-        """Turn the window's camera, if there is one, to where the robot is."""
-        x, y, z = bullet.getBasePositionAndOrientation(self._robot, self._client)[0]
-        bullet.resetDebugVisualizerCamera(2.5, 50, -20, (x, y, z), physicsClientId=self._client)
+    def _turn_camera(self) -> None:
+        """Turn the window's camera, if there is one, to where the legs are."""
+        bullet.resetDebugVisualizerCamera(*EYE, self._middle(), physicsClientId=self._client)
+
+    def _middle(self) -> tuple[float, float, float]:
+        """Return the middle between the feet, at half the operating height, m."""
+        feet = self._read_links[: len(self.legs)]
+        at = [state[0] for state in bullet.getLinkStates(self._robot, feet, 0, 0, self._client)]
+        x, y = (sum(place[axis] for place in at) / len(at) for axis in (0, 1))
+        return (x, y, self.params.leg.operating_height / 2)
 
     # -- the verbs ----------------------------------------------------------------------
 
@@ -202,34 +226,54 @@ class BulletWorld(ABC):
         """Return what each leg senses at the present tick; calling twice gives the same."""
         return self._senses
 
-    def coast(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
+    def picture(self, width: int, height: int) -> NDArray[np.uint8]:
+        """Return what a camera sees that follows the robot: ``(height, width, 3)``, RGB.
+
+        Drawn without a window and without OpenGL; it changes nothing that is simulated.
+        """
+        near, far = 0.1, 20.0
+        view = bullet.computeViewMatrixFromYawPitchRoll(self._middle(), *EYE, 0.0, 2)
+        lens = bullet.computeProjectionMatrixFOV(50.0, width / height, near, far)
+        pixels = bullet.getCameraImage(
+            width,
+            height,
+            view,
+            lens,
+            renderer=bullet.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+        )[2]
+        return np.array(pixels, dtype=np.uint8).reshape(height, width, 4)[:, :, :3].copy()
+
+    def coast(self, beat: Beat, commands: Sequence[LegCommand | None]) -> None:
         """Advance by one tick and sense nothing: what physics alone costs, for benchmarks."""
         self._ground.turn(self._heading())
         self._set_motors(commands)
-        self._drive(phase)
+        self._drive(beat)
         for _ in range(self.params.physics.substeps):
             bullet.stepSimulation(self._client)
 
-    def step(self, phase: Phase, commands: Sequence[LegCommand | None]) -> None:
+    def step(self, beat: Beat, commands: Sequence[LegCommand | None]) -> None:
         """Advance by one tick; a leg with ``None`` holds both its joints still."""
         self._ground.turn(self._heading())
         self._set_motors(commands)
-        self._drive(phase)
+        self._drive(beat)
         for mount in self._mounts:
-            mount.clear()
+            mount.sensors.begin_tick()
         self._body_touched = False
         client, robot = self._client, self._robot
         for _ in range(self.params.physics.substeps):
             bullet.stepSimulation(client)
-            self._feel(bullet.getContactPoints(robot, -1, -2, -2, client))  # -1, -2: with anything
+            self._read_contacts(
+                bullet.getContactPoints(robot, -1, -2, -2, client)
+            )  # -1, -2: with anything
         self._tick += 1
-        self._senses = self._sense(restart=False)
+        self._senses = self._sense(first_tick=False)
         self.work += self._worked
         self._read_body()
         if self._fell():
             self._build()
         if self._gui:
-            self._look()
+            self._turn_camera()
 
     # -- building ----------------------------------------------------------------------------
 
@@ -237,13 +281,7 @@ class BulletWorld(ABC):
         """Load ground and robot anew and put the feet on the ground; the tick stays."""
         client, physics, leg = self._client, self.params.physics, self.params.leg
         bullet.resetSimulation(physicsClientId=client)
-        bullet.setGravity(0, 0, -physics.gravity, client)
-        bullet.setPhysicsEngineParameter(
-            fixedTimeStep=self.params.gait.tick_s / physics.substeps,
-            numSolverIterations=physics.iterations,
-            deterministicOverlappingPairs=1,
-            physicsClientId=client,
-        )
+        set_up(client, self.params)
         with tempfile.TemporaryDirectory(prefix="ember_ros_") as folder:
             file = Path(folder) / "robot.urdf"
             file.write_text(self._urdf(), encoding="utf-8")
@@ -267,20 +305,14 @@ class BulletWorld(ABC):
                 self._robot, joint, bullet.VELOCITY_CONTROL, force=0, physicsClientId=client
             )
         for link in links.values():
-            bullet.changeDynamics(
-                self._robot,
-                link,
-                lateralFriction=physics.friction,
-                restitution=0.0,
-                linearDamping=0.0,
-                angularDamping=0.0,
-                jointDamping=0.0,
-                contactStiffness=physics.contact_stiffness,
-                contactDamping=physics.contact_damping,
-                physicsClientId=client,
-            )
+            set_contact(client, self._robot, link, physics)
         self._mounts = [
-            _Mount(self._joints[f"{n}_hip"], self._joints[f"{n}_knee"], links[f"{n}_foot"])
+            _Mount(
+                self._joints[f"{n}_hip"],
+                self._joints[f"{n}_knee"],
+                links[f"{n}_foot"],
+                LegSensors(self.params),
+            )
             for n in self.legs
         ]
         self._by_link = {mount.foot: mount for mount in self._mounts}
@@ -298,7 +330,7 @@ class BulletWorld(ABC):
         self._prepare()
         self._body_touched = False
         self._steps = 0
-        self._senses = self._sense(restart=self._tick > 0)
+        self._senses = self._sense(first_tick=self._tick > 0)
         self._read_body()
 
     @property
@@ -344,41 +376,21 @@ class BulletWorld(ABC):
 
     # -- senses ------------------------------------------------------------------------------
 
-    def _feel(self, contacts: Sequence[tuple[Any, ...]]) -> None:
-        """Take in the contacts of one physics step.
-
-        A foot is a sphere on flat ground: the point of contact moves as the foot's middle does,
-        so its way while in contact is how far the foot slid, but for rolling.
-        """
+    def _read_contacts(self, contacts: Sequence[tuple[Any, ...]]) -> None:
+        """Take in the contacts of one physics step."""
         now = self._steps = self._steps + 1
         by_link = self._by_link
         for contact in contacts:
             mount = by_link.get(contact[3])
-            if mount is None:
-                if contact[3] in self._trunk:
-                    self._body_touched = True
-                continue
-            force = contact[9]
-            if force <= 0.0:
-                continue
-            mount.force += force
-            if mount.seen == now:  # a second point, one step in a hundred: only its force counts
-                mount.strength += force
-            else:
-                mount.strength = force
+            if mount is not None:
                 x, y, _ = contact[5]
-                if mount.seen == now - 1:
-                    mount.slide_x += x - mount.x
-                    mount.slide_y += y - mount.y
-                mount.seen, mount.x, mount.y = now, x, y
-                mount.touched += 1
-            if mount.strength > mount.peak:
-                mount.peak = mount.strength
+                mount.sensors.touch(now, contact[9], x, y)
+            elif contact[3] in self._trunk:
+                self._body_touched = True
 
-    def _sense(self, *, restart: bool) -> tuple[LegSense, ...]:
+    def _sense(self, *, first_tick: bool) -> tuple[LegSense, ...]:
         """Read all sensors."""
-        client, params, tick = self._client, self.params, self._tick
-        substeps, radius = params.physics.substeps, params.leg.foot_radius
+        client = self._client
         joints = bullet.getJointStates(self._robot, self._read_joints, client)
         feet = bullet.getLinkStates(
             self._robot, self._read_links, computeForwardKinematics=1, physicsClientId=client
@@ -389,34 +401,15 @@ class BulletWorld(ABC):
         for n, mount in enumerate(self._mounts):
             hip, knee, foot = joints[2 * n], joints[2 * n + 1], feet[n]
             power += max(0.0, hip[1] * hip[3]) + max(0.0, knee[1] * knee[3])
-            x, y, z, w = foot[5]
-            # Gravity in the shank's frame, as an accelerometer there reads it.
-            inclination = math.atan2(2.0 * (x * z - w * y), 1.0 - 2.0 * (x * x + y * y))
-            slip = 0.0
-            if mount.touched:
-                turned = inclination - mount.inclination
-                turned = math.remainder(turned, math.tau) * mount.touched / substeps
-                rolled = radius * turned
-                forward_x, forward_y = 1.0 - 2.0 * (x * x + z * z), 2.0 * (w * z - x * y)
-                slip = math.hypot(
-                    mount.slide_x + rolled * forward_x, mount.slide_y + rolled * forward_y
-                )
-            mount.inclination = inclination
             senses.append(
-                LegSense(
-                    tick,
-                    hip[0],
-                    knee[0],
-                    hip[1],
-                    knee[1],
-                    mount.force / substeps,
-                    mount.peak,
-                    inclination,
-                    slip,
-                    foot[4][2] - radius < params.leg.hair_length,
-                    mount.seen == self._steps,
-                    restart,
+                mount.sensors.sense(
+                    self._tick,
+                    self._steps,
+                    (hip[0], knee[0], hip[1], knee[1]),
+                    foot[5],
+                    foot[4][2],
+                    first_tick=first_tick,
                 )
             )
-        self._worked = power * params.gait.tick_s
+        self._worked = power * self.params.gait.tick_s
         return tuple(senses)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 
-from ember_ros.params import Params
+from ember_ros.params import TRAINER_LEG, Params
 from ember_ros.randomness import WORLD, generator
-from ember_ros.signals import TRAINER_LEG, BodyState, Phase
+from ember_ros.signals import Beat, BodyState
 from sim_node import bodies
 from sim_node.bullet import BulletWorld, bullet
 
 
 class TrainerWorld(BulletWorld):
-    """A bar on a vertical axle, hinged in its middle, the leg and its load at the tip.
+    """A bar on a vertical axle with a hinge in its middle; the leg and its load are at the tip.
 
-    A stop at the hinge keeps the attachment from falling below ``trainer.stop_height``; with
-    ``trainer.modulation`` > 0 a new height is drawn every cycle (gaussian, bounded) and
-    approached at no more than ``trainer.stop_slew`` a tick.
+    A stop at the hinge keeps the attachment from falling below ``trainer.stop_height``. With
+    ``trainer.modulation`` > 0 a new height is drawn every cycle (gaussian, bounded), and the stop
+    approaches it by at most ``trainer.stop_slew`` per tick.
     """
 
     legs: tuple[str, ...] = (TRAINER_LEG,)
@@ -24,18 +24,19 @@ class TrainerWorld(BulletWorld):
     body_joints = ("axle", "hinge")
 
     def __init__(self, params: Params, *, seed: int = 0, gui: bool = False) -> None:
-        """Build the trainer; ``seed`` decides the heights of a modulated stop."""
+        """Build the trainer; ``seed`` determines the heights of a modulated stop."""
         self._seed = seed
         super().__init__(params, gui=gui)
 
     def reset(self) -> None:
-        """Build everything anew, as it was at tick 0."""
+        """Restore the state of tick 0."""
         self._rng = generator(self._seed, WORLD)
         self._stop = self._goal = self.params.trainer.stop_height
+        self._cycle = -1  # cycle of the CPG for which the goal was drawn
         super().reset()
 
     def body(self) -> BodyState:
-        """Return the way along the circle as ``x``, the attachment's height, no angles."""
+        """Return the distance along the circle as ``x``, and the attachment's height; no angles."""
         half = self.params.trainer.bar_length / 2
         way = self._axle * self.params.trainer.bar_length
         height = self._hinge_height + half * math.sin(self._hinge)
@@ -52,7 +53,7 @@ class TrainerWorld(BulletWorld):
         return (0.0, 0.0, self._hinge_height)
 
     def _heading(self) -> float:
-        """Return the bar's angle: friction's axes lie along the bar and along the leg's way."""
+        """Return the bar's angle: the friction axes are along the bar and the leg's direction."""
         return self._axle
 
     def _prepare(self) -> None:
@@ -61,7 +62,7 @@ class TrainerWorld(BulletWorld):
         bullet.changeDynamics(
             self._robot, axle, jointDamping=trainer.axle_damping, physicsClientId=client
         )
-        bullet.setJointMotorControl2(  # a motor that wants rest is dry friction
+        bullet.setJointMotorControl2(  # a motor with target speed 0 acts as dry friction
             self._robot,
             axle,
             bullet.VELOCITY_CONTROL,
@@ -73,11 +74,12 @@ class TrainerWorld(BulletWorld):
         start = max(self._stop, self.params.leg.operating_height)
         bullet.resetJointState(self._robot, hinge, self._angle(start), physicsClientId=client)
 
-    def _drive(self, phase: Phase) -> None:
+    def _drive(self, beat: Beat) -> None:
         trainer = self.params.trainer
         if trainer.modulation <= 0.0:
             return
-        if phase == int(phase):
+        if int(beat.phase) != self._cycle:
+            self._cycle = int(beat.phase)
             drawn = self._rng.normal(trainer.stop_height, trainer.modulation)
             self._goal = min(trainer.stop_high, max(trainer.stop_low, drawn))
         way = self._goal - self._stop
@@ -94,7 +96,7 @@ class TrainerWorld(BulletWorld):
             self._robot,
             self._joints["hinge"],
             jointLowerLimit=self._angle(height),
-            jointUpperLimit=1.0,
+            jointUpperLimit=self.params.trainer.hinge_max,
             physicsClientId=self._client,
         )
 

@@ -1,40 +1,51 @@
-"""The walker: a body in two halves, joined by a twist motor, on four legs (paper, section IV)."""
+"""The walker: a body in segments, joined by twist motors, on its legs (paper, section IV)."""
 
 from __future__ import annotations
 
 import math
 
 from ember_ros.params import Params
-from ember_ros.signals import LEGS, BodyState, Phase
+from ember_ros.phase import PhaseRate
+from ember_ros.signals import Beat, BodyState
 from sim_node import bodies
 from sim_node.bullet import BulletWorld, bullet
 
 
 class WalkerWorld(BulletWorld):
-    """Four legs on a body that can fall.
+    """Legs on a body that can fall.
 
     A fall is roll or pitch beyond ``walker.fall_angle``, the body on the ground, or hips under
-    ``walker.fall_height`` for a whole cycle. It is counted; the robot is put back on its feet
-    where it fell, heading where it headed, and the senses of the next tick are marked ``restart``.
+    ``walker.fall_height`` for a whole cycle. Falls are counted. After a fall the robot is put back
+    on its feet at the same place with the same heading, and the next senses are ``first_tick``.
     """
 
-    legs: tuple[str, ...] = LEGS
-    body_joints = ("twist",)
-    body_links = ("rear",)
+    def __init__(
+        self, params: Params, *, seed: int = 0, heading: float = 0.0, gui: bool = False
+    ) -> None:
+        """Build the walker.
 
-    def __init__(self, params: Params, *, heading: float = 0.0, gui: bool = False) -> None:
-        """Build the walker, heading ``heading`` rad to the left of x."""
+        Args:
+            params: of the robot and the physics.
+            seed: not used: nothing in this world is random.
+            heading: angle to the left of the x axis, rad.
+            gui: whether to show PyBullet's window.
+        """
+        behind = params.robot.segments[1:]
+        self.legs = params.robot.legs
+        self.body_joints = tuple(bodies.twist_of(name) for name in behind)
+        self.body_links = behind
         self._first_heading = heading
         super().__init__(params, gui=gui)
 
     def reset(self) -> None:
-        """Build everything anew, as it was at tick 0."""
+        """Restore the state of tick 0."""
         self._falls = 0
         self._start, self._start_heading = (0.0, 0.0), self._first_heading
+        self._rate = PhaseRate(1.0 / self.params.gait.ticks)
         super().reset()
 
     def body(self) -> BodyState:
-        """Return the pose of the body's middle, its halves averaged."""
+        """Return the pose of the body, averaged over its segments."""
         return self._body
 
     def _urdf(self) -> str:
@@ -47,38 +58,49 @@ class WalkerWorld(BulletWorld):
         return self._body.yaw
 
     def _prepare(self) -> None:
-        self._low = 0  # ticks on end with the hips too low
+        self._low = 0  # consecutive ticks with the hips too low
 
-    def _drive(self, phase: Phase) -> None:
-        """Twist in synchrony with the phase, so that the swinging legs are raised.
+    def _drive(self, beat: Beat) -> None:
+        """Twist the body in synchrony with the phase, so that the swinging legs are raised.
 
-        At ``twist_phase`` the front half's left side is highest: the front left leg and the rear
-        right one, half a turn of the body away, are then in the middle of their swing.
+        At ``twist_phase`` the left side of the first segment is highest relative to the second. The
+        second is highest relative to the third half a cycle later, and so on, because neighbouring
+        legs of one side swing in turn.
         """
         walker, gait = self.params.walker, self.params.gait
-        after = phase + 1.0 / gait.ticks - walker.twist_phase
+        after = beat.phase + self._rate.per_tick(beat) - walker.twist_phase
         angle = -walker.twist_amplitude * math.cos(math.tau * after)
-        joint = self._joints["twist"]
-        turn = bullet.getJointState(self._robot, joint, self._client)[0]
-        bullet.setJointMotorControl2(
-            self._robot,
-            joint,
-            bullet.VELOCITY_CONTROL,
-            targetVelocity=(angle - turn) / gait.tick_s,
-            force=walker.twist_torque,
-            physicsClientId=self._client,
-        )
+        for name, (turn, *_) in zip(self.body_joints, self._body_joints, strict=True):
+            bullet.setJointMotorControl2(
+                self._robot,
+                self._joints[name],
+                bullet.VELOCITY_CONTROL,
+                targetVelocity=(angle - turn) / gait.tick_s,
+                force=walker.twist_torque,
+                physicsClientId=self._client,
+            )
+            angle = -angle
 
     def _read_body(self) -> None:
-        front, (x, y, z, w) = bullet.getBasePositionAndOrientation(self._robot, self._client)
-        rear, turn = self._body_links[0][0], self._body_joints[0][0]
-        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)) + turn / 2.0
+        (ahead, aside, height), (x, y, z, w) = bullet.getBasePositionAndOrientation(
+            self._robot, self._client
+        )
+        for link in self._body_links:
+            ahead += link[0][0]
+            aside += link[0][1]
+            height += link[0][2]
+        turned = turns = 0.0  # angle of a segment relative to the first one; sum over all segments
+        for turn, *_ in self._body_joints:
+            turned += turn
+            turns += turned
+        count = 1 + len(self._body_links)
+        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)) + turns / count
         pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         self._body = BodyState(
-            (front[0] + rear[0]) / 2.0,
-            (front[1] + rear[1]) / 2.0,
-            (front[2] + rear[2]) / 2.0,
+            ahead / count,
+            aside / count,
+            height / count,
             roll,
             pitch,
             yaw,

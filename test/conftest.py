@@ -1,59 +1,42 @@
-"""What the ROS tests share: an own context in an own domain for each, and nothing left behind."""
+"""Fixtures that several test files share, and the marks that no test has to carry itself."""
 
 from __future__ import annotations
 
-import fcntl
-import functools
-import gc
-import os
 import signal
-import threading
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
 from importlib.util import find_spec
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from hypothesis import settings
 
-from ember_ros.loop import Loop
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import Recorder
+from ember_ros.run_config import RunConfig
+from support import runs
+from support.needs import ROS
+from support.ros import Ros, reserved_domain, ros_in
+from support.runs import Bits
 
-ROS = find_spec("rclpy") is not None
 SIM = find_spec("pybullet") is not None
 
-# The pure tests run without ROS; these cannot even be imported.
-collect_ignore = (
-    []
-    if ROS and SIM
-    else [
-        "test_wire.py",
-        "test_nodes.py",
-        "test_graph.py",
-        "test_processes.py",
-        "test_bag_nodes.py",
-        "test_installed.py",
-        "test_seat.py",
-    ]
+ROS_FILES = (
+    "test_bag_nodes.py",
+    "test_graph.py",
+    "test_installed.py",
+    "test_nodes.py",
+    "test_processes.py",
+    "test_name_lock.py",
+    "test_wire.py",
 )
+"""All tests in these need ROS: without rclpy they cannot even be imported."""
+ROS_FIXTURES = {"free_domain", "ros", "ros_of_module"}
+ROS_WAYS = {"graph", "processes"}
+"""Parameters of tests that name a way to run which needs ROS."""
+
+collect_ignore = [] if ROS and SIM else [*ROS_FILES]
 
 # The same examples every time; a slow machine fails no test.
 settings.register_profile("ember", deadline=None, derandomize=True)
 settings.load_profile("ember")
-
-DEADLINE_S = 60.0
-"""Wall time after which a condition is said not to come true. No test that passes waits for it."""
-AGAIN_S = 2.0
-"""Wall time after which a service that did not answer is called again."""
-GOODBYE_S = 30.0
-"""Wall time in which another process' goodbye must have come, or, where the goodbye was lost, its
-lease of 20 s have ended."""
-DOMAINS = range(1, 101)
-QUIET = 100
-"""Callbacks after which an executor has nothing left for a node that was taken from it."""
 
 
 def pytest_report_header() -> list[str]:
@@ -63,73 +46,19 @@ def pytest_report_header() -> list[str]:
     )
 
 
-class Bits(NamedTuple):
-    """What two ways of running the same plan must agree in."""
-
-    table: str
-    senses: str
-    commands: str
-    falls: int
-
-
-@functools.cache
-def _by_loop(plan: Plan) -> Bits:
-    loop = Loop(plan)
-    try:
-        recorder = Recorder(plan.params, plan.legs)
-        for _ in range(plan.cycles * plan.params.gait.ticks):
-            loop.tick(recorder)
-        recorder.finish(loop.world.observe(), loop.world.body())
-        return bits_of(loop.finish().sha256(), recorder.summary())
-    finally:
-        loop.close()
-
-
-def bits_of(table_sha256: str, summary: dict[str, Any]) -> Bits:
-    """Return the bits of a run from its table and its summary."""
-    return Bits(
-        table_sha256, summary["senses_sha256"], summary["commands_sha256"], summary["falls"]
-    )
-
-
-@pytest.fixture
-def by_loop() -> Callable[[Plan], Bits]:
-    """Run a plan in the loop, the specification, once a session."""
-    return _by_loop
-
-
-@pytest.fixture
-def by_graph() -> Callable[[Any], Bits]:
-    """Return the bits of a ``Graph`` that has run."""
-
-    def bits(graph: Any) -> Bits:
-        return bits_of(
-            graph.nodes["table_node"].shared.table.sha256(), graph.sim.recorder.summary()
-        )
-
-    return bits
-
-
-# -- an own domain -----------------------------------------------------------------------------
-
-
-@contextmanager
-def _reserved_domain() -> Iterator[int]:
-    """Reserve a domain id that no other test on this machine has."""
-    folder = Path(f"/tmp/ember_ros_test_domains.{os.getuid()}")
-    folder.mkdir(exist_ok=True)
-    first = os.getpid() * 7 + _reserved_domain.__dict__.setdefault("count", 0)
-    _reserved_domain.__dict__["count"] += 1  # not the one just left: its goodbyes may still travel
-    for n in range(len(DOMAINS)):
-        domain = DOMAINS[(first + n) % len(DOMAINS)]
-        with (folder / str(domain)).open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                continue
-            yield domain
-            return
-    raise RuntimeError("all domain ids are taken by other tests")
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what needs ROS by its file, fixtures and parameters; skip it where rclpy is missing."""
+    for item in items:
+        assert isinstance(item, pytest.Function)
+        given = item.callspec.params.values() if hasattr(item, "callspec") else ()
+        if (
+            item.path.name in ROS_FILES
+            or not ROS_FIXTURES.isdisjoint(item.fixturenames)
+            or any(isinstance(each, str) and each in ROS_WAYS for each in given)
+        ):
+            item.add_marker(pytest.mark.ros)
+        if item.get_closest_marker("ros") and not ROS:
+            item.add_marker(pytest.mark.skip(reason="rclpy is missing"))
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -148,180 +77,47 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     signal.signal(signal.SIGHUP, before)
 
 
-def _children() -> set[str]:
-    """Return the ids of the living processes that this process started."""
-    return {
-        pid
-        for task in Path("/proc/self/task").iterdir()
-        for pid in (task / "children").read_text().split()
-    }
-
-
-class Ros:
-    """A context in a domain of its own, a node to look on from, and an executor for both."""
-
-    def __init__(self, domain: int) -> None:
-        """Initialise the context."""
-        import rclpy
-        from rclpy.experimental.events_executor import EventsExecutor
-        from rclpy.logging import LoggingSeverity, set_logger_level
-        from rclpy.node import Node
-        from rclpy.signals import SignalHandlerOptions
-
-        # The level is the process's own: a graph that `ember` ran before keeps it at warnings.
-        set_logger_level("", LoggingSeverity.INFO)
-
-        self.domain = domain
-        self.context = rclpy.Context()
-        rclpy.init(
-            context=self.context,
-            domain_id=domain,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        self._executor = EventsExecutor(context=self.context)
-        self._nodes: list[Any] = []
-        self.killed: set[str] = set()
-        """Nodes of processes that were killed: nobody said goodbye for them."""
-        self.node: Any = self.add(Node("onlooker", context=self.context))
-
-    def add(self, node: Any) -> Any:
-        """Spin ``node`` from now on, and destroy it in the end; return it."""
-        self._executor.add_node(node)
-        self._nodes.append(node)
-        return node
-
-    def remove(self, *nodes: Any) -> None:
-        """Destroy ``nodes`` now: the executor lets go of them while it is spun."""
-        gone = {node.get_fully_qualified_name() for node in nodes}
-        for node in nodes:
-            self._nodes.remove(node)
-            self._executor.remove_node(node)
-        for _ in range(QUIET):  # what is queued for them would be looked for where nothing is
-            self.spin_once(0.0)
-        for node in nodes:
-            node.destroy_node()
-        if nodes != (self.node,):
-            self.spin_until(lambda: not gone & self.alive(), f"{gone} destroyed")
-
-    def alive(self) -> set[str]:
-        """Return the names of all nodes on the graph that have any endpoint, as a living one has.
-
-        A name alone can stay for ever: what a process says of its nodes may arrive behind its
-        goodbye, and rmw_dds_common then adds a participant that will never say another one.
-        """
-        from rclpy.node import NodeNameNonExistentError
-
-        found = set()
-        for name, namespace in self.node.get_node_names_and_namespaces():
-            with suppress(NodeNameNonExistentError):  # gone meanwhile
-                if self.node.get_publisher_names_and_types_by_node(name, namespace):
-                    found.add(f"{namespace.rstrip('/')}/{name}")
-        return found
-
-    def spin_once(self, timeout: float = 0.02) -> None:
-        """Let one callback run, or wait a moment for one."""
-        self._executor.spin_once(timeout_sec=timeout)
-
-    def spin_until(
-        self, condition: Callable[[], Any], what: str, also: Callable[[float], None] | None = None
-    ) -> None:
-        """Spin until a condition holds; ``also`` is another executor's ``spin_once``."""
-        deadline = time.monotonic() + DEADLINE_S
-        while not condition():
-            assert time.monotonic() < deadline, f"did not come true: {what}"
-            if also is None:
-                self.spin_once()
-            else:
-                also(0.002)
-                self.spin_once(0.0)
-
-    def publisher(self, topic: Any, *, matched: bool = True) -> Any:
-        """Return a publisher of one of ``topics``, matched with a subscription."""
-        publisher = topic.publish(self.node)
-        if matched:
-            self.spin_until(publisher.get_subscription_count, f"{topic.name} is subscribed to")
-        return publisher
-
-    def messages(self, topic: Any, *, matched: bool = True, raw: bool = False) -> list[Any]:
-        """Subscribe to one of ``topics`` and return the list that its messages will be put in."""
-        from ember_ros.topics import class_of, latest
-
-        heard: list[Any] = []
-        subscription = self.node.create_subscription(
-            class_of(topic.kind), topic.name, heard.append, latest(100_000), raw=raw
-        )
-        if matched:
-            self.spin_until(subscription.handle.get_publisher_count, f"{topic.name} is published")
-        return heard
-
-    def client(self, service: Any) -> Any:
-        """Return a client of one of ``topics``' services that is ready."""
-        client = service.call(self.node)
-        self.spin_until(client.service_is_ready, f"{service.name} is served")
-        return client
-
-    def call(self, client: Any, request: Any, also: Callable[[float], None] | None = None) -> Any:
-        """Call a service and return its answer; call again, as a killed one looks ready too."""
-        calls = [client.call_async(request)]
-        called = time.monotonic()
-
-        def answered() -> bool:
-            nonlocal called
-            if time.monotonic() > called + AGAIN_S:
-                calls.append(client.call_async(request))
-                called = time.monotonic()
-            return any(call.done() for call in calls)
-
-        self.spin_until(answered, f"{client.srv_name} answers", also)
-        return next(call for call in calls if call.done()).result()
-
-    def close(self) -> None:
-        """Destroy all, and hold that nothing is left in the context."""
-        self.remove(*self._nodes[:0:-1])
-        gc.collect()  # nodes whose constructor raised
-        known = {"/onlooker"} | self.killed
-        deadline = time.monotonic() + GOODBYE_S
-        while self.alive() - known and time.monotonic() < deadline:
-            self.spin_once()
-        left = self.alive() - known
-        self.remove(self.node)
-        self._executor.shutdown()
-        self.context.try_shutdown()
-        assert not left, f"nodes left running: {left}"
-
-
-@contextmanager
-def _ros() -> Iterator[Ros]:
-    threads, children = set(threading.enumerate()), _children()
-    with _reserved_domain() as domain:
-        ros = Ros(domain)
-        try:
-            yield ros
-        finally:
-            ros.close()
-            left = set(threading.enumerate()) - threads
-            assert not left, f"threads left running: {left}"
-            assert _children() <= children, "processes left running"
+@pytest.fixture
+def by_loop() -> Callable[[RunConfig], Bits]:
+    """Run a plan in the loop, the specification, once a session."""
+    return runs.by_loop
 
 
 @pytest.fixture
-def ros() -> Iterator[Ros]:
-    """Give a test an rclpy context in a domain of its own, and its processes that domain."""
-    with _ros() as ros, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(ros.domain))
+def by_graph() -> Callable[[Any], Bits]:
+    """Return the bits of a ``Graph`` that has run."""
+    return runs.by_graph
+
+
+@pytest.fixture
+def free_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """Give a test and its processes a domain of their own."""
+    with reserved_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        yield domain
+
+
+@pytest.fixture
+def ros(free_domain: int) -> Iterator[Ros]:
+    """Give a test an rclpy context in its domain."""
+    with ros_in(free_domain) as ros:
         yield ros
 
 
 @pytest.fixture(scope="module")
 def ros_of_module() -> Iterator[Ros]:
     """Give the tests of a module one context in one domain, and their processes that domain."""
-    with _ros() as ros, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(ros.domain))
-        yield ros
+    with reserved_domain() as domain, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(domain))
+        with ros_in(domain) as ros:
+            yield ros
 
 
-@pytest.fixture
-def free_domain() -> Iterator[int]:
-    """Reserve a domain id for a test that starts a whole graph itself."""
-    with _reserved_domain() as domain:
-        yield domain
+@pytest.fixture(autouse=True)
+def domain(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give every test that is marked ``ros`` a domain of its own, and let no other start ROS."""
+    if request.node.get_closest_marker("ros") is None:
+        # No number: rclpy and ember refuse it, and say it.
+        monkeypatch.setenv("ROS_DOMAIN_ID", "this test is not marked ros")
+    elif "ros_of_module" not in request.fixturenames:
+        request.getfixturevalue("free_domain")

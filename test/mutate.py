@@ -35,23 +35,24 @@ import lz4.frame
 import yaml
 import zstandard
 
-from ember_ros import topics, wire
-from ember_ros.bag.card import Card
-from ember_ros.bag.look import info
-from ember_ros.bag.reading import Bag
-from ember_ros.bag.recording import Recording
+from ember_ros import cdr, topics
+from ember_ros.bag.inspection import info
+from ember_ros.bag.reader import Bag
 from ember_ros.bag.repair import repair
-from ember_ros.bag.storage import INFORMATION, METADATA, BagOptions, BagWriter
+from ember_ros.bag.run_metadata import RunMetadata
+from ember_ros.bag.run_writer import RunWriter
+from ember_ros.bag.storage import INFORMATION, METADATA, BagOptions, McapWriter
 from ember_ros.errors import EmberError
 from ember_ros.loop import Loop
 from ember_ros.params import Params, params_sha256, replace
 from ember_ros.params_file import dump_params, load_params
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
+from leg_node.assembly import empty_table
 from leg_node.journal import Journal
-from leg_node.shared import Push
-from leg_node.table import empty_table
+from leg_node.shared import UpdateBatch
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
+from support.configs import TINY as PARAMS
 
 LIMIT_S, LIMIT_MB = 10.0, 300.0
 """What one mutant may cost: CPU time, whatever else the machine does, and growth of the resident
@@ -60,12 +61,8 @@ STUCK_S = 300.0
 """Wall time after which a reader that does nothing is given up, and the campaign with it."""
 ADDRESS_SPACE = 4 << 30
 """Bytes more than at the start, so that a bomb kills this process and not the machine."""
-MOST_SAID = 2500
+MAX_MESSAGE = 2500
 """Characters of a message."""
-PARAMS = replace(
-    Params(),
-    {"state.hip_bins": 3, "state.force_edges": [0.5], "state.inclination_edges": [-0.5]},
-)
 TICKS = 48
 
 Rng = random.Random
@@ -76,12 +73,12 @@ Rng = random.Random
 
 def make_corpus(folder: Path) -> None:
     """Make one whole file of every kind."""
-    plan = Plan("trainer", 1, params=PARAMS, policy="random")
-    loop = Loop(plan, FakeWorld(plan.legs, PARAMS))
-    writer = BagWriter(BagOptions(folder / "bag"))
+    config = RunConfig("trainer", 1, params=PARAMS, policy="random")
+    loop = Loop(config, FakeWorld(config.legs, PARAMS))
+    writer = McapWriter(BagOptions(folder / "bag"))
     try:
-        card = Card.of_plan(plan, loop.shared.table, {"ember_ros": "of a test"})
-        recording = Recording(writer, card, loop.shared.table)
+        run_metadata = RunMetadata.of_config(config, loop.shared.table, {"ember_ros": "of a test"})
+        recording = RunWriter(writer, run_metadata, loop.shared.table)
         for _ in range(TICKS):
             loop.tick(recording)
         recording.finish()
@@ -94,9 +91,9 @@ def make_corpus(folder: Path) -> None:
     (folder / "params.yaml").write_text(dump_params(PARAMS))
     loop.close()
     journal = Journal(folder / "table.npz")
-    journal.begin(1)
+    journal.start(1)
     for n in range(9):
-        journal.add(Push(0, "run", n, "0" * 64, ()))
+        journal.add(UpdateBatch(0, "run", n, "0" * 64, ()))
     journal.close()
     (folder / "sqlite").mkdir()
     in_sqlite(folder / "bag", folder / "sqlite")
@@ -420,11 +417,11 @@ def json_member(data: bytes, rng: Rng) -> bytes:
 # -- MCAP ----------------------------------------------------------------------------------------
 
 _HEAD, _CHUNK = struct.Struct("<BQ"), struct.Struct("<QQQII")
-Record = tuple[int, bytes]
+RunRecord = tuple[int, bytes]
 MAGIC = b"\x89MCAP0\r\n"
 
 
-def records(data: bytes) -> list[Record]:
+def records(data: bytes) -> list[RunRecord]:
     """Return what lies behind one another in an MCAP file or chunk."""
     found, at = [], 0
     while at + 9 <= len(data):
@@ -434,12 +431,12 @@ def records(data: bytes) -> list[Record]:
     return found
 
 
-def laid_out(found: Sequence[Record]) -> bytes:
+def laid_out(found: Sequence[RunRecord]) -> bytes:
     """Return records as bytes."""
     return b"".join(_HEAD.pack(kind, len(data)) + data for kind, data in found)
 
 
-def opened_chunk(data: bytes) -> list[Record]:
+def opened_chunk(data: bytes) -> list[RunRecord]:
     """Return the records in a chunk."""
     _, _, _, _, length = _CHUNK.unpack_from(data)
     return records(zstandard.decompress(data[_CHUNK.size + length + 8 :]))
@@ -465,7 +462,7 @@ def closed_chunk(
     )  # fmt: skip
 
 
-def bombs(rng: Rng) -> list[Record]:
+def bombs(rng: Rng) -> list[RunRecord]:
     """Return chunks that grow a thousandfold, with sizes that are true or not."""
     size = rng.choice([1 << 20, 1 << 25, (1 << 25) - 9, 1 << 28])
     inside = _HEAD.pack(rng.choice([1, 3, 4, 5, 6, 9]), size - 9) + bytes(size - 9)
@@ -666,16 +663,16 @@ def change_card(folder: Path, rng: Rng) -> None:
         raws = list(opened.raw())
     shutil.rmtree(folder)
     chosen = rng.choice(["card", "card", "card", topics.VALUES.name, topics.VISITS.name])
-    writer = BagWriter(BagOptions(folder))
+    writer = McapWriter(BagOptions(folder))
     try:
         for raw in raws:
             data = raw.data
-            if chosen == "card" and raw.topic == "/" + topics.CARD.name:
-                text = change_json(wire.read_text(data, "card"), rng)
+            if chosen == "card" and raw.topic == "/" + topics.RUN_METADATA.name:
+                text = change_json(cdr.read_text(data, "card"), rng)
                 if rng.random() < 0.5:
                     text = hashed(text)
                 coded = text.encode(errors="surrogatepass") + b"\0"
-                data = wire.CDR + struct.pack("<I", len(coded)) + coded
+                data = cdr.ENCAPSULATION + struct.pack("<I", len(coded)) + coded
                 if rng.random() < 0.1:
                     data = change_bytes(data, rng)
             elif raw.topic == "/" + chosen:
@@ -689,13 +686,13 @@ def change_card(folder: Path, rng: Rng) -> None:
 def hashed(text: str) -> str:
     """Return a card that has the SHA-256 of its parameters, if it has any."""
     try:
-        card = json.loads(text)
+        run_metadata = json.loads(text)
         flat = {
             f"{group}.{name}": value
-            for group, numbers in card["params"].items()
+            for group, numbers in run_metadata["params"].items()
             for name, value in numbers.items()
         }
-        return json.dumps({**card, "params_sha256": params_sha256(replace(Params(), flat))})
+        return json.dumps({**run_metadata, "params_sha256": params_sha256(replace(Params(), flat))})
     except (EmberError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return text
 
@@ -794,7 +791,7 @@ def one(name: str, n: int, corpus: Path, folder: Path) -> tuple[str, Watch, str]
         outcome, said = "failed", f"more than {LIMIT_S} s: {traceback.format_exc()}"
     except BaseException:
         outcome, said = "failed", traceback.format_exc()
-    if outcome == "refused" and (len(said) > MOST_SAID or "\n" in said or not said.isprintable()):
+    if outcome == "refused" and (len(said) > MAX_MESSAGE or "\n" in said or not said.isprintable()):
         outcome, said = "failed", f"a message of {len(said)} characters: {said[:300]!r}"
     elif watch.mb > LIMIT_MB:
         outcome, said = "failed", f"{watch.mb:.0f} MB; {said}"

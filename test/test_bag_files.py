@@ -38,34 +38,38 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
-from ember_ros import topics, wire
-from ember_ros.bag import recording as recording_module
+from ember_ros import cdr, topics
+from ember_ros.bag import run_writer as recording_module
 from ember_ros.bag import storage as storage_module
-from ember_ros.bag.card import Card
-from ember_ros.bag.reading import Bag
-from ember_ros.bag.recording import Recording, Told
+from ember_ros.bag.reader import Bag
 from ember_ros.bag.repair import Repaired, repair
-from ember_ros.bag.storage import METADATA, STORAGES, BagOptions, BagWriter, read_metadata, seal
+from ember_ros.bag.run_metadata import RunMetadata
+from ember_ros.bag.run_writer import RunWriter, TickMessages
+from ember_ros.bag.storage import METADATA, STORAGES, BagOptions, McapWriter, read_metadata, seal
 from ember_ros.errors import BagError
 from ember_ros.loop import Loop
 from ember_ros.observer import Observer
 from ember_ros.params import Params
-from ember_ros.plan import Plan
-from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Phase
-from leg_node.table import Table, empty_table
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import Beat, BodyState
+from leg_node.assembly import empty_table
+from leg_node.table import Table
 from sim_node.fake import FakeWorld
+from support.bags import KEPT
+from support.legs import LEGS
+from support.runs import Heard
+from support.waiting import DEADLINE_S
 
 PARAMS = Params()
 TICK_NS = PARAMS.gait.tick_ns
 FLUSH = recording_module.FLUSH_TICKS
-PLAN = Plan("walker", 1, seed=3)
+PLAN = RunConfig("walker", 1, seed=3)
 FALLS_AT = (5, 6, 40)
 VERSIONS = {"ember_ros": "of this test"}
 STRING = "std_msgs/msg/String"
 STRING_RIHS01 = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 """As ROS 2 Jazzy has it in ``share/std_msgs/msg/String.json``."""
 JAZZY: Any = get_typestore(Stores.ROS2_JAZZY)
-DEADLINE_S = 60.0
 """Wall time after which a condition is said not to come true. No test that passes waits for it."""
 INSTALL_S = 180.0
 """The same for npm and the network."""
@@ -85,16 +89,16 @@ class Written(NamedTuple):
 
 
 @contextmanager
-def writing(folder: Path, *, split_mb: float = 0.0, split_s: float = 0.0) -> Iterator[BagWriter]:
+def writing(folder: Path, *, split_mb: float = 0.0, split_s: float = 0.0) -> Iterator[McapWriter]:
     """Give a writer, and let go of its files if the test did not close it."""
-    writer = BagWriter(BagOptions(folder, split_mb, split_s))
+    writer = McapWriter(BagOptions(folder, split_mb, split_s))
     try:
         yield writer
     finally:
         writer.abandon()
 
 
-def put(writer: BagWriter, message: Written) -> None:
+def put(writer: McapWriter, message: Written) -> None:
     """Write a message."""
     writer.write(writer.channel(message.topic, message.kind), message.ns, message.data)
 
@@ -102,7 +106,7 @@ def put(writer: BagWriter, message: Written) -> None:
 def text(n: int, characters: int = 2000) -> Written:
     """Return the n-th message of many that differ and cannot be compressed much."""
     words = hashlib.shake_128(b"%d" % n).hexdigest(characters // 2)
-    return Written(f"/said/{n % 3}", STRING, n * 1_000_000, wire.pack_text(words))
+    return Written(f"/said/{n % 3}", STRING, n * 1_000_000, cdr.pack_text(words))
 
 
 def files_of(folder: Path) -> list[Path]:
@@ -162,9 +166,9 @@ def start_table() -> Table:
     return table
 
 
-def run_loop(ticks: int, *observers: Observer, plan: Plan = PLAN) -> None:
+def run_loop(ticks: int, *observers: Observer, config: RunConfig = PLAN) -> None:
     """Run the loop in the fake world, which falls now and then."""
-    loop = Loop(plan, FakeWorld(plan.legs, PARAMS, falls_at=FALLS_AT))
+    loop = Loop(config, FakeWorld(config.legs, PARAMS, falls_at=FALLS_AT))
     for _ in range(ticks):
         loop.tick(*observers)
 
@@ -175,14 +179,14 @@ def record(
     *observers: Observer,
     split_mb: float = 0.0,
     split_s: float = 0.0,
-    plan: Plan = PLAN,
+    config: RunConfig = PLAN,
     finish: bool = True,
 ) -> Path:
     """Record a run of the loop into a bag, finished or abandoned; return its folder."""
     table = start_table()
     with writing(folder, split_mb=split_mb, split_s=split_s) as writer:
-        taking = Recording(writer, Card.of_plan(plan, table, VERSIONS), table)
-        run_loop(ticks, taking, *observers, plan=plan)
+        taking = RunWriter(writer, RunMetadata.of_config(config, table, VERSIONS), table)
+        run_loop(ticks, taking, *observers, config=config)
         if finish:
             taking.finish()
             writer.close()
@@ -205,23 +209,6 @@ def in_sqlite(folder: Path) -> Path:
     text = (folder / METADATA).read_text()
     (folder / METADATA).write_text(text.replace(made.name, f"{folder.name}_0.db3"))
     return folder
-
-
-class Heard:
-    """An observer that keeps everything."""
-
-    def __init__(self) -> None:
-        self.phases: list[Phase] = []
-        self.senses: list[tuple[LegSense, ...]] = []
-        self.commands: list[tuple[LegCommand | None, ...]] = []
-        self.bodies: list[BodyState] = []
-
-    def tick(self, phase: Phase, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
-        """Keep a tick."""
-        self.phases.append(phase)
-        self.senses.append(tuple(senses))
-        self.commands.append(tuple(commands))
-        self.bodies.append(body)
 
 
 def decoded(message: Written) -> Any:
@@ -390,7 +377,7 @@ def test_a_bag_is_never_written_over(tmp_path: Path) -> None:
     before = tree(tmp_path)
     for name in ("empty", "file", "link", "bag"):
         with pytest.raises(BagError, match=rf"{name} is there already, and a bag is never"):
-            BagWriter(BagOptions(tmp_path / name))
+            McapWriter(BagOptions(tmp_path / name))
     assert tree(tmp_path) == before
     assert not (tmp_path / "nowhere").exists()
 
@@ -399,12 +386,12 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
     """Below a file there is no folder: a BagError that names it and says why."""
     (tmp_path / "file").write_bytes(b"mine")
     with same_descriptors(), pytest.raises(BagError, match=r"file/bag: Not a directory"):
-        BagWriter(BagOptions(tmp_path / "file" / "bag"))
+        McapWriter(BagOptions(tmp_path / "file" / "bag"))
 
 
 def test_an_unknown_message_type_is_refused_and_costs_nothing_else(tmp_path: Path) -> None:
     """A BagError names it; what is written before and after is in a bag that closes well."""
-    folder, says = tmp_path / "bag", "type robot_msgs/msg/Leg is none of those that Jazzy"
+    folder, says = tmp_path / "bag", "type robot_msgs/msg/Leg is not part of Jazzy"
     with writing(folder) as writer:
         put(writer, text(0))
         for _ in range(2):
@@ -495,7 +482,7 @@ def test_closing_twice_is_once(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     with same_descriptors(), writing(folder) as writer:
         channel = writer.channel("/said", STRING)
-        writer.write(channel, 1, wire.pack_text("once"))
+        writer.write(channel, 1, cdr.pack_text("once"))
         writer.close({"fact": "kept"})
         before = tree(folder)
         writer.close({"fact": "lost"})
@@ -503,7 +490,7 @@ def test_closing_twice_is_once(tmp_path: Path) -> None:
         writer.begin_file()
         writer.abandon()
         with pytest.raises(BagError, match=r"bag is closed"):
-            writer.write(channel, 2, wire.pack_text("twice"))
+            writer.write(channel, 2, cdr.pack_text("twice"))
         with pytest.raises(BagError, match=r"bag is closed"):
             writer.channel("/new", STRING)
         assert tree(folder) == before
@@ -523,7 +510,7 @@ def test_an_abandoned_bag_is_cut_off_at_its_last_flush(tmp_path: Path) -> None:
         writer.abandon()
         writer.close()
     assert not (folder / METADATA).exists()
-    with pytest.raises(BagError, match=rf"cut off; `ember bag repair {folder}` brings it back"):
+    with pytest.raises(BagError, match=rf"cut off; `ember bag repair {folder}` restores it"):
         Bag(folder)
     done = repair(folder)
     assert (done.messages, done.damaged) == (12, 0)
@@ -608,7 +595,7 @@ def test_a_disk_that_has_no_room_for_the_metadata(tmp_path: Path) -> None:
 FULL = """
 import json, resource, signal, sys
 from pathlib import Path
-from ember_ros.bag.storage import BagOptions, BagWriter
+from ember_ros.bag.storage import BagOptions, McapWriter
 from ember_ros.errors import BagError
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -620,7 +607,7 @@ def full(bytes):
 
 said = []
 try:
-    writer = BagWriter(BagOptions(Path(folder)))
+    writer = McapWriter(BagOptions(Path(folder)))
     for n, (topic, kind, ns, data) in enumerate(texts):
         writer.write(writer.channel(topic, kind), ns, bytes.fromhex(data))
         if n % 10 == 9:
@@ -685,7 +672,7 @@ def test_a_full_disk_costs_what_was_not_flushed(when: str, room: int, tmp_path: 
     *before, told, refused = child(FULL, str(folder), when, room, given)
     assert before == (["written"] if when == "flush" else [])
     assert told.startswith(f"cannot write the bag {folder}: ")
-    assert f"`ember bag repair {folder}` brings back what is in it" in told
+    assert f"`ember bag repair {folder}` restores what is in it" in told
     assert refused == f"the bag {folder} is closed"
     with pytest.raises(BagError, match=rf"cut off; `ember bag repair {folder}`"):
         Bag(folder)
@@ -768,15 +755,15 @@ def test_a_recording_is_every_tick_in_one_order(world: str, tmp_path: Path) -> N
     In the order of a tick; falls only when there are more; a CRC message after each flush of ticks
     and at the end.
     """
-    heard, plan = Heard(), Plan(world, 1, seed=3)
+    heard, config = Heard(), RunConfig(world, 1, seed=3)
     ticks = 3 * FLUSH + 5
-    folder = record(tmp_path / "bag", ticks, heard, plan=plan)
+    folder = record(tmp_path / "bag", ticks, heard, config=config)
     found = written(folder)
     assert [(message.topic, message.ns) for message in found] == [
-        (topic, tick * TICK_NS) for topic, tick in expected_order(heard, plan.legs)
+        (topic, tick * TICK_NS) for topic, tick in expected_order(heard, config.legs)
     ]
     kinds = {message.topic: message.kind for message in found}
-    assert {kinds[f"/{leg}/{what}"] for leg in plan.legs for what in ("contact", "command")} == {
+    assert {kinds[f"/{leg}/{what}"] for leg in config.legs for what in ("contact", "command")} == {
         "sensor_msgs/msg/JointState"
     }
     assert kinds["/clock"] == "rosgraph_msgs/msg/Clock"
@@ -801,7 +788,9 @@ def test_a_recording_says_what_happened(run_of_64: tuple[Path, Heard]) -> None:
         if stamp is not None:
             assert stamp.sec * 10**9 + stamp.nanosec == message.ns
         by_topic.setdefault(message.topic, []).append(content)
-    assert [each.data for each in by_topic["/cpg/phase"]] == heard.phases
+    for beat, said in zip(heard.phases, by_topic["/cpg/phase"], strict=True):
+        assert said.header.stamp.sec * 10**9 + said.header.stamp.nanosec == beat.tick * TICK_NS
+        assert (said.name, said.position.tolist()) == (["cpg"], [beat.phase])
     assert [each.data for each in by_topic["/falls"]] == [0, 1, 2, 3]
     positions = [each.pose.pose.position for each in by_topic["/odometry"]]
     assert [(at.x, at.y, at.z) for at in positions] == [body[:3] for body in heard.bodies]
@@ -833,10 +822,11 @@ def test_a_recording_is_read_as_the_run(run_of_64: tuple[Path, Heard]) -> None:
         ticks = list(bag.ticks())
         assert (bag.damages, bag.stale) == ([], 0)
     assert [tick.tick for tick in ticks] == list(range(64))
-    assert [tick.phase for tick in ticks] == heard.phases
+    assert [tick.beat for tick in ticks] == heard.phases
     assert [tick.senses for tick in ticks] == heard.senses
     assert [tick.commands for tick in ticks] == heard.commands
     assert [tick.body for tick in ticks] == heard.bodies
+    assert [tick.transitions for tick in ticks] == heard.transitions
 
 
 def crcs(folder: Path) -> dict[int, tuple[int, ...]]:
@@ -878,13 +868,13 @@ def test_card_and_table_come_back(run_of_64: tuple[Path, Heard]) -> None:
     folder, _ = run_of_64
     table = start_table()
     with Bag(folder) as bag:
-        assert bag.card == Card.of_plan(PLAN, table, VERSIONS)
+        assert bag.run_metadata == RunMetadata.of_config(PLAN, table, VERSIONS)
         assert bag.table is not None
-        assert bag.table.sha256() == table.sha256() == bag.card.start_table_sha256
+        assert bag.table.sha256() == table.sha256() == bag.run_metadata.start_table_sha256
         assert bag.params == PARAMS
     first = {message.topic: decoded(message) for message in written(folder)[:3]}
-    card = json.loads(first["/run/card"].data)
-    assert card["legs"]["rear_left"] == {
+    run_metadata = json.loads(first["/run/card"].data)
+    assert run_metadata["legs"]["rear_left"] == {
         "stage": "walk", "seed": 3, "policy": "learned", "learning": True, "shared": True,
         "start_cycle": 0,
     }  # fmt: skip
@@ -896,9 +886,9 @@ def test_card_and_table_come_back(run_of_64: tuple[Path, Heard]) -> None:
 
 def test_a_table_that_nobody_knew_is_not_made_up(tmp_path: Path) -> None:
     """Without a table the bag has none, and neither topic has a message."""
-    card = Card.of_plan(PLAN, start_table(), VERSIONS).without_table()
+    run_metadata = RunMetadata.of_config(PLAN, start_table(), VERSIONS).without_table()
     with writing(tmp_path / "bag") as writer:
-        taking = Recording(writer, card, None)
+        taking = RunWriter(writer, run_metadata, None)
         run_loop(3, taking)
         taking.finish()
         writer.close()
@@ -907,7 +897,7 @@ def test_a_table_that_nobody_knew_is_not_made_up(tmp_path: Path) -> None:
     assert not found & {"/run/values", "/run/visits"}
     with Bag(tmp_path / "bag") as bag:
         assert bag.table is None
-        assert bag.card == card
+        assert bag.run_metadata == run_metadata
 
 
 class Without:
@@ -919,7 +909,7 @@ class Without:
     def __init__(self, other: Observer, missing: Callable[[int, int], bool]) -> None:
         self._other, self._missing = other, missing
 
-    def tick(self, phase: Phase, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
+    def tick(self, phase: Beat, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
         """Pass a tick on."""
         left = [None if self._missing(senses[0].tick, n) else c for n, c in enumerate(commands)]
         self._other.tick(phase, senses, left, body, paid)
@@ -933,7 +923,7 @@ def test_an_absent_command_leaves_no_message(tmp_path: Path) -> None:
         return tick in (0, 7, 31) and n != 2
 
     with writing(tmp_path / "bag") as writer:
-        taking = Recording(writer, Card.of_plan(PLAN, table, VERSIONS), table)
+        taking = RunWriter(writer, RunMetadata.of_config(PLAN, table, VERSIONS), table)
         run_loop(40, Without(taking, missing), Without(heard, missing))
         taking.finish()
         writer.close()
@@ -951,17 +941,17 @@ def test_the_same_run_makes_the_same_bytes(split_s: float, tmp_path: Path) -> No
 
     And the messages' files are equal whatever the bag is called.
     """
-    plan3, plan4 = Plan("walker", 1, seed=3), Plan("walker", 1, seed=4)
+    plan3, plan4 = RunConfig("walker", 1, seed=3), RunConfig("walker", 1, seed=4)
     bags = [
-        record(tmp_path / name / "bag", 70, plan=plan, split_s=split_s)
-        for name, plan in (("a", plan3), ("b", plan3), ("c", plan4))
+        record(tmp_path / name / "bag", 70, config=config, split_s=split_s)
+        for name, config in (("a", plan3), ("b", plan3), ("c", plan4))
     ]
     trees = [tree(bag) for bag in bags]
     assert trees[0] == trees[1]
     assert len(trees[0]) == (2 if split_s == 0.0 else 3)
     assert trees[0].keys() == trees[2].keys()
     assert trees[0] != trees[2]
-    renamed = record(tmp_path / "of_another_name", 70, plan=plan3, split_s=split_s)
+    renamed = record(tmp_path / "of_another_name", 70, config=plan3, split_s=split_s)
     assert [f.read_bytes() for f in files_of(renamed)] == [
         f.read_bytes() for f in files_of(bags[0])
     ]
@@ -971,9 +961,9 @@ def test_a_robot_in_a_namespace(tmp_path: Path) -> None:
     """All its topics are below it, and are otherwise the same."""
     table = start_table()
     for name, namespace in (("plain", ""), ("named", "/lab/robot_2/")):
-        card = Card.of_plan(PLAN, table, VERSIONS)
+        run_metadata = RunMetadata.of_config(PLAN, table, VERSIONS)
         with writing(tmp_path / name) as writer:
-            taking = Recording(writer, card, table, namespace=namespace)
+            taking = RunWriter(writer, run_metadata, table, namespace=namespace)
             run_loop(20, taking)
             taking.finish()
             writer.close()
@@ -986,10 +976,10 @@ def test_a_robot_in_a_namespace(tmp_path: Path) -> None:
         assert len(list(bag.ticks())) == 20
 
 
-def told(tick: int, *, silent: Sequence[int] = (), numb: Sequence[int] = ()) -> Told:
+def told(tick: int, *, silent: Sequence[int] = (), numb: Sequence[int] = ()) -> TickMessages:
     """Return made-up messages of a tick; legs in ``silent`` have none, in ``numb`` no contact."""
     mark = b"%d" % tick
-    return Told(
+    return TickMessages(
         b"clock" + mark,
         None,
         b"odometry" + mark,
@@ -1008,14 +998,16 @@ def test_bytes_that_were_heard_are_kept_as_they_are(tmp_path: Path) -> None:
     before and after a gap are in messages of their own.
     """
     table = start_table()
-    card = dataclasses.replace(Card.of_plan(PLAN, table, VERSIONS), first_tick=2**33 + 20)
+    run_metadata = dataclasses.replace(
+        RunMetadata.of_config(PLAN, table, VERSIONS), first_tick=2**33 + 20
+    )
     ticks = [*range(2**33 + 20, 2**33 + 45), *range(2**33 + 90, 2**33 + 93)]
     said = {tick: told(tick) for tick in ticks}
     said[ticks[3]] = told(ticks[3], silent=[1], numb=[2])
     with writing(tmp_path / "bag") as writer:
-        taking = Recording(writer, card, None)
+        taking = RunWriter(writer, run_metadata, None)
         for tick in ticks:
-            taking.put(tick, said[tick])
+            taking.write(tick, said[tick])
         taking.finish()
         assert taking.ticks == len(ticks)
         writer.close()
@@ -1024,7 +1016,7 @@ def test_bytes_that_were_heard_are_kept_as_they_are(tmp_path: Path) -> None:
     heard = [message for message in found if not message.topic.startswith("/run/")]
     expected = []
     for tick, one in said.items():
-        senses = [each for pair in zip(one.joints, one.contacts, strict=True) for each in pair]
+        senses = [each for update in zip(one.joints, one.contacts, strict=True) for each in update]
         parts = [one.clock, one.odometry, *senses, one.phase, *one.commands, *one.transitions]
         expected += [(tick * TICK_NS, data) for data in parts if data is not None]
     assert [(message.ns, message.data) for message in heard] == expected
@@ -1044,22 +1036,22 @@ ENDLESS = """
 import sys
 from pathlib import Path
 import numpy as np
-from ember_ros.bag.card import Card
-from ember_ros.bag.recording import FLUSH_TICKS, Recording
-from ember_ros.bag.storage import BagOptions, BagWriter
+from ember_ros.bag.run_metadata import RunMetadata
+from ember_ros.bag.run_writer import FLUSH_TICKS, RunWriter
+from ember_ros.bag.storage import BagOptions, McapWriter
 from ember_ros.loop import Loop
 from ember_ros.params import Params
-from ember_ros.plan import Plan
-from leg_node.table import empty_table
+from ember_ros.run_config import RunConfig
+from leg_node.assembly import empty_table
 from sim_node.fake import FakeWorld
 
 folder, versions, falls_at = eval(sys.argv[1])
-plan, table, rng = Plan("walker", 1, seed=3), empty_table(Params()), np.random.default_rng(7)
+config, table, rng = RunConfig("walker", 1, seed=3), empty_table(Params()), np.random.default_rng(7)
 table.values[:] = rng.normal(size=len(table.values))
 table.visits[:] = rng.integers(0, 1000, len(table.visits))
-loop = Loop(plan, FakeWorld(plan.legs, Params(), falls_at=falls_at))
-recording = Recording(
-    BagWriter(BagOptions(Path(folder))), Card.of_plan(plan, table, versions), table
+loop = Loop(config, FakeWorld(config.legs, Params(), falls_at=falls_at))
+recording = RunWriter(
+    McapWriter(BagOptions(Path(folder))), RunMetadata.of_config(config, table, versions), table
 )
 while True:
     loop.tick(recording)
@@ -1089,7 +1081,7 @@ def killed_at(folder: Path, ticks: int) -> int:
         process.kill()
         said += process.stdout.read()
         process.stdout.close()
-        code = process.wait()
+        code = process.wait(DEADLINE_S)
     assert code == -9
     return last(said)
 
@@ -1110,7 +1102,7 @@ def test_a_kill_costs_what_was_not_flushed(ticks: int, tmp_path: Path) -> None:
     folder = tmp_path / "killed"
     flushed = killed_at(folder, ticks)
     assert flushed >= ticks
-    with pytest.raises(BagError, match=rf"cut off; `ember bag repair {folder}` brings it back"):
+    with pytest.raises(BagError, match=rf"cut off; `ember bag repair {folder}` restores it"):
         Bag(folder)
     done = repair(folder)
     with Bag(folder) as bag:
@@ -1137,7 +1129,7 @@ def test_a_kill_costs_what_was_not_flushed(ticks: int, tmp_path: Path) -> None:
 CHUNK, MAGIC = 0x06, 8
 
 
-class Record(NamedTuple):
+class RunRecord(NamedTuple):
     """A record of an MCAP file."""
 
     kind: int
@@ -1145,15 +1137,15 @@ class Record(NamedTuple):
     end: int
 
 
-def records_in(data: bytes) -> list[Record]:
+def records_in(data: bytes) -> list[RunRecord]:
     """Return the whole records of an MCAP file that may be cut off."""
-    found: list[Record] = []
+    found: list[RunRecord] = []
     at = MAGIC
     while at + 9 <= len(data):
         kind, length = struct.unpack_from("<BQ", data, at)
         if at + 9 + length > len(data):
             break
-        found.append(Record(kind, at, at + 9 + length))
+        found.append(RunRecord(kind, at, at + 9 + length))
         at = found[-1].end
     return found
 
@@ -1170,7 +1162,7 @@ class Whole(NamedTuple):
     data: bytes
     metadata: bytes
     messages: list[Written]
-    chunks: list[Record]
+    chunks: list[RunRecord]
     by_chunk: list[list[Written]]
 
 
@@ -1220,7 +1212,7 @@ def cut(whole: Whole, offset: int, *, metadata: bool) -> None:
     kept = sum(each.end <= offset for each in whole.chunks)
     with bag_of(whole, whole.data[:offset], metadata=metadata) as folder:
         if not kept:
-            refuses(folder, rf"nothing in {folder} is whole")
+            refuses(folder, rf"nothing in {folder} is intact")
             return
         done = repair(folder)
         (file,) = files_of(folder)
@@ -1241,6 +1233,7 @@ def cut(whole: Whole, offset: int, *, metadata: bool) -> None:
             assert reader.message_count == len(left)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beside", [-1, 0, 1])
 def test_a_bag_cut_off_near_the_end_of_a_chunk(whole: Whole, beside: int) -> None:
     """One byte decides: a chunk is brought back if its last byte is there, and else is not."""
@@ -1249,6 +1242,7 @@ def test_a_bag_cut_off_near_the_end_of_a_chunk(whole: Whole, beside: int) -> Non
         cut(whole, each.end + beside, metadata=False)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.floats(0.0, 1.0), st.booleans())
 def test_a_bag_cut_off_anywhere(whole: Whole, share: float, metadata: bool) -> None:
@@ -1326,6 +1320,7 @@ def is_part(some: Iterable[Written], every: Iterable[Written]) -> bool:
     return all(each in rest for each in some)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(st.floats(0.0, 1.0, exclude_max=True), st.integers(0, 7))
 def test_whatever_bit_turns_nothing_is_made_up(whole: Whole, share: float, bit: int) -> None:
@@ -1387,7 +1382,7 @@ def test_a_bag_cut_off_before_its_first_flush(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     with writing(folder) as writer:
         put(writer, text(0))
-    refuses(folder, rf"nothing in {folder} is whole")
+    refuses(folder, rf"nothing in {folder} is intact")
 
 
 @pytest.mark.parametrize("metadata", [True, False])
@@ -1447,20 +1442,20 @@ def test_a_split_bag_with_a_file_missing(tmp_path: Path) -> None:
 
 def test_repairing_what_is_no_bag(tmp_path: Path) -> None:
     """Nothing, an empty folder, a folder of something else, a file: each said, and left alone."""
-    refuses(tmp_path / "nowhere", "there is no bag .*nowhere; the folder of one would be right")
+    refuses(tmp_path / "nowhere", "there is no bag .*nowhere; the folder of a bag would be right")
     (tmp_path / "empty").mkdir()
     refuses(tmp_path / "empty", r"empty is no bag: it has no file of \.mcap or \.db3")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("mine")
     (tmp_path / "other" / METADATA).write_text("mine")
     refuses(tmp_path / "other", "other is no bag")
-    refuses(tmp_path / "other" / "notes.txt", "notes.txt is one file; the folder")
+    refuses(tmp_path / "other" / "notes.txt", "notes.txt is one file; its folder")
     assert (tmp_path / "other" / "notes.txt").read_text() == "mine"
 
 
 @pytest.mark.parametrize("content", [b"", b"mine, and no bag at all\n" * 100])
 @pytest.mark.parametrize(
-    ("ending", "says"), [(".mcap", "nothing in .*bag is whole"), (".db3", "is no whole database")]
+    ("ending", "says"), [(".mcap", "nothing in .*bag is intact"), (".db3", "is no intact database")]
 )
 def test_repairing_files_that_only_look_like_a_bag(
     ending: str, says: str, content: bytes, tmp_path: Path
@@ -1482,7 +1477,7 @@ def test_repairing_the_bag_of_another_recorder(tmp_path: Path) -> None:
             schema = writer.register_schema(kind, "ros2msg", b"string data")
             channel = writer.register_channel(f"/{kind[:5]}", "cdr", schema)
             for n in range(3):
-                writer.add_message(channel, n, wire.pack_text(str(n)), n)
+                writer.add_message(channel, n, cdr.pack_text(str(n)), n)
             writer.flush()
     assert repair(folder).messages == 6
     with (folder / "bag_0.mcap").open("rb") as raw:
@@ -1491,7 +1486,7 @@ def test_repairing_the_bag_of_another_recorder(tmp_path: Path) -> None:
             (s.name, s.encoding, s.data, c.topic, m.data) for s, c, m in reader.iter_messages()
         ]
     assert sorted(found) == sorted(
-        (kind, "ros2msg", b"string data", f"/{kind[:5]}", wire.pack_text(str(n)))
+        (kind, "ros2msg", b"string data", f"/{kind[:5]}", cdr.pack_text(str(n)))
         for kind in (STRING, "robot_msgs/msg/Leg")
         for n in range(3)
     )
@@ -1524,7 +1519,7 @@ def test_a_bag_that_is_being_written_is_not_repaired(
     with writing(folder) as writer:
         put(writer, text(0))
         writer.flush()
-        refuses(folder, rf"{folder} is being written at this moment; stop the recording first")
+        refuses(folder, rf"{folder} is being written now; stop the recording first")
         put(writer, text(1))
         writer.close()
     assert written(folder) == [text(0), text(1)]
@@ -1663,7 +1658,7 @@ class Extreme:
     def __init__(self, other: Observer) -> None:
         self._other = other
 
-    def tick(self, phase: Phase, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
+    def tick(self, phase: Beat, senses: Any, commands: Any, body: BodyState, paid: Any) -> None:
         """Pass a tick on."""
         if senses[0].tick == 9:
             hard = senses[1]._replace(
@@ -1678,7 +1673,7 @@ def bag_for_readers(folder: Path, state: str) -> dict[str, int]:
     """Record a run into a bag that is as ``state`` says; return how many messages topics have."""
     table = start_table()
     with writing(folder, split_s=0.5 if state == "split" else 0.0) as writer:
-        taking = Recording(writer, Card.of_plan(PLAN, table, VERSIONS), table)
+        taking = RunWriter(writer, RunMetadata.of_config(PLAN, table, VERSIONS), table)
         run_loop(90, Extreme(taking))
         if state != "repaired":
             taking.finish()
@@ -1715,6 +1710,7 @@ def test_two_readers_in_python_agree(state: str, tmp_path: Path) -> None:
     assert len({one["positions"] for one in joints}) > 1
 
 
+@pytest.mark.slow
 @every_state
 def test_a_reader_in_javascript_agrees(
     state: str, tmp_path: Path, by_javascript: Callable[[Path], dict[str, dict[str, Any]]]
@@ -1727,15 +1723,14 @@ def test_a_reader_in_javascript_agrees(
 
 def test_repairing_a_whole_bag_keeps_what_is_known_of_its_end(tmp_path: Path) -> None:
     """A bag that lacks nothing keeps the SHA-256 of its table; one that was cut does not."""
-    kept = Path(__file__).resolve().parents[1] / "bags" / "walk"
     for name, cut in (("whole", 0), ("cut", 100_000)):
         folder = tmp_path / name / "walk"
-        shutil.copytree(kept, folder)
+        shutil.copytree(KEPT, folder)
         file = folder / "walk_0.mcap"
         data = file.read_bytes()
         file.write_bytes(data[: len(data) - cut])
         repair(folder)
         known = read_metadata(folder)["custom_data"]
-        assert (known == read_metadata(kept)["custom_data"]) is (cut == 0)
+        assert (known == read_metadata(KEPT)["custom_data"]) is (cut == 0)
         if not cut:
             assert file.read_bytes() == data

@@ -4,173 +4,72 @@ from __future__ import annotations
 
 import resource
 import signal
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import closing
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 
-from cpg_node.node import CpgNode
-from ember_ros import topics, wire
-from ember_ros.bag import player_node, recorder_node
-from ember_ros.bag.card import Card
-from ember_ros.bag.inquiry import Inquiry
+from ember_ros import cdr, topics, wire
+from ember_ros.bag import player_node
+from ember_ros.bag.metadata_client import MetadataClient
 from ember_ros.bag.player_node import PlayerNode
-from ember_ros.bag.reading import Bag, Raw
+from ember_ros.bag.reader import Bag, Raw
 from ember_ros.bag.recorder_node import RecorderNode
-from ember_ros.bag.recording import Recording, absolute
-from ember_ros.bag.relearn import relearn
 from ember_ros.bag.repair import repair
-from ember_ros.bag.replay import replay
-from ember_ros.bag.storage import BagOptions, BagWriter, read_metadata, size_of
+from ember_ros.bag.run_metadata import RunMetadata
+from ember_ros.bag.run_writer import RunWriter, absolute
+from ember_ros.bag.storage import BagOptions, McapWriter, read_metadata, size_of
 from ember_ros.errors import BagError, ParameterError
-from ember_ros.graph import Graph, node_options
+from ember_ros.graph import Graph
 from ember_ros.loop import Loop
+from ember_ros.offline.relearn import relearn
+from ember_ros.offline.replay import replay
 from ember_ros.params import Params, as_dict, replace
-from ember_ros.plan import Plan
-from ember_ros.signals import LEGS, LegCommand
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import LegCommand
 from ember_ros.versions import versions
+from leg_node.assembly import empty_table
 from leg_node.node import LegNode
-from leg_node.table import empty_table
 from leg_node.table_file import save_table
 from leg_node.table_node import TableNode
 from sim_node import node as sim_module
 from sim_node.fake import FakeWorld
-from sim_node.node import SimNode
+from support.bags import raws_of
+from support.configs import small_plan
+from support.legs import LEGS
+from support.needs import needs_bags
+from support.robot import PATIENCE_S, Robot, matched, overrides
+from support.ros import Ros
 
-if TYPE_CHECKING:
-    from test.conftest import Ros
-
-pytestmark = pytest.mark.skipif(find_spec("rosbags") is None, reason="rosbags is missing")
+pytestmark = needs_bags
 
 CYCLES = 4
 TICKS = 32
 ALL = CYCLES * TICKS
 TICK_NS = Params().gait.tick_ns
-PATIENCE_S = 30.0
-"""Wall time that nodes wait where bits are compared: a busy machine must not change them."""
 FALLS = {50, 51}
-SMALL: dict[str, Any] = {
-    "state.hip_bins": 5, "state.force_edges": [0.25, 1.0], "state.inclination_edges": [-0.6, -0.4],
-    "walk.epsilon_start": 0.2, "walk.epsilon_end": 0.2,
-}  # fmt: skip
-"""A walker that explores, on a small table."""
 
 
-def plan(cycles: int = CYCLES, *, seed: int = 3, **options: Any) -> Plan:
+def config(cycles: int = CYCLES, **options: Any) -> RunConfig:
     """Return a plan of a small walker; options with ``__`` in their names are parameters."""
-    changes = {n.replace("__", "."): options.pop(n) for n in list(options) if "__" in n}
-    return Plan("walker", cycles, seed=seed, params=replace(Params(), SMALL | changes), **options)
+    return small_plan(cycles, **options)
 
 
-def world_of(plan: Plan) -> FakeWorld:
+def world_of(config: RunConfig) -> FakeWorld:
     """Return a world without physics, in which the robot falls twice."""
-    return FakeWorld(plan.legs, plan.params, falls_at=FALLS)
+    return FakeWorld(config.legs, config.params, falls_at=FALLS)
 
 
-def given(parameters: dict[str, Any]) -> list[Parameter]:
-    """Return parameters as rclpy takes them."""
-    return [Parameter(name, value=value) for name, value in parameters.items()]
-
-
-def matched(*nodes: Any) -> bool:
-    """Return whether every subscription of these nodes has every publisher of theirs."""
-    heard = Counter(each.topic_name for node in nodes for each in node.subscriptions)
-    return all(
-        each.get_subscription_count() >= heard[each.topic_name]
-        for node in nodes
-        for each in node.publishers
+def robot_of(ros: Ros, config: RunConfig, namespace: str = "", **how: Any) -> Robot:
+    """Start all nodes of a plan but the world, which robot.begin starts."""
+    without = ["sim_node", *how.pop("without", [])]
+    return Robot(
+        ros, config, namespace, without=without, patience=PATIENCE_S, world=world_of, **how
     )
-
-
-KINDS: dict[str, Any] = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
-
-
-class Robot:
-    """The nodes of a plan one by one: first all but the world, and then, by ``begin``, that."""
-
-    def __init__(
-        self,
-        ros: Ros,
-        plan: Plan,
-        namespace: str = "",
-        *,
-        without: Collection[str] = (),
-        **options: dict[str, Any],
-    ) -> None:
-        """Start all nodes but the world and those left out, with some options changed."""
-        self._ros, self._plan, self.namespace = ros, plan, namespace
-        self.nodes: dict[str, Any] = {}
-        for name in node_options(plan):
-            if name not in ("sim_node", *without):
-                self.nodes[name] = ros.add(self._make(name, options.get(name, {})))
-
-    def _make(self, name: str, changes: dict[str, Any]) -> Any:
-        numbers = {
-            f"{group}.{field}": value
-            for group, fields in as_dict(self._plan.params).items()
-            for field, value in fields.items()
-        }
-        own = node_options(self._plan, patience=PATIENCE_S)[name]
-        extra: dict[str, Any] = {"node_name": name} if name.startswith("leg_") else {}
-        if name == "sim_node":
-            extra = {"world": world_of(self._plan)}
-        return KINDS.get(name, LegNode)(
-            context=self._ros.context,
-            namespace=self.namespace,
-            parameter_overrides=given({**numbers, **own, **changes}),
-            **extra,
-        )
-
-    @property
-    def sim(self) -> Any:
-        """Return the sim node."""
-        return self.nodes["sim_node"]
-
-    @property
-    def tick(self) -> int:
-        """Return the world's present tick."""
-        return int(self.sim.tick)
-
-    @property
-    def table(self) -> str:
-        """Return the SHA-256 of the shared table."""
-        return str(self.nodes["table_node"].shared.table.sha256())
-
-    def begin(self, *listeners: Any, **options: Any) -> None:
-        """Start the world, once everybody is matched with it."""
-        sim = self._make("sim_node", options)
-        try:
-            self._ros.spin_until(
-                lambda: matched(sim, *self.nodes.values(), *listeners), "all are matched"
-            )
-        finally:
-            self.nodes["sim_node"] = self._ros.add(sim)
-
-    def kill(self, name: str) -> None:
-        """Destroy a node where it stands."""
-        self._ros.remove(self.nodes.pop(name))
-
-    def walk_to(self, tick: int) -> None:
-        """Spin until the world is at a tick, or done."""
-        self._ros.spin_until(lambda: self.tick >= tick or self.sim.done, f"tick {tick}")
-
-    def finish(self) -> None:
-        """End all nodes, the world first and the table last."""
-        last = {"sim_node": 0, "table_node": 2}
-        for name in sorted(self.nodes, key=lambda name: last.get(name, 1)):
-            self.nodes[name].finish(self._ros.spin_once)
-
-    def run(self) -> None:
-        """Run to the end."""
-        self._ros.spin_until(lambda: self.sim.done, "the last tick")
-        self.finish()
 
 
 def recording(ros: Ros, folder: Path, namespace: str = "", **parameters: Any) -> Any:
@@ -179,22 +78,22 @@ def recording(ros: Ros, folder: Path, namespace: str = "", **parameters: Any) ->
         RecorderNode(
             context=ros.context,
             namespace=namespace,
-            parameter_overrides=given({"bag": str(folder), **parameters}),
+            parameter_overrides=overrides({"bag": str(folder), **parameters}),
         )
     )
 
 
-def ear_of(recorder: Any, namespace: str = "") -> Any:
-    """Return what a recorder keeps of one robot."""
-    return recorder._ears[namespace]
+def recorder_of(recorder: Any, namespace: str = "") -> Any:
+    """Return what a recorder node records one robot with."""
+    return recorder._robots[namespace]
 
 
 def until_recorded(ros: Ros, recorder: Any, ticks: int, namespace: str = "") -> None:
     """Spin until a recorder has written so many ticks of a robot."""
 
     def written() -> bool:
-        ear = ear_of(recorder, namespace)
-        return ear.recording is not None and ear.recording.ticks >= ticks
+        robot = recorder_of(recorder, namespace)
+        return robot.run_writer is not None and robot.run_writer.ticks >= ticks
 
     ros.spin_until(written, f"{ticks} ticks are recorded")
 
@@ -228,17 +127,17 @@ def warnings(ros: Ros) -> Callable[[], str]:
     return said
 
 
-def by_loop(folder: Path, plan: Plan, *namespaces: str) -> Path:
+def by_loop(folder: Path, config: RunConfig, *namespaces: str) -> Path:
     """Record a run in the loop, the same for each namespace, into one bag."""
-    writer = BagWriter(BagOptions(folder))
+    writer = McapWriter(BagOptions(folder))
     try:
-        loop = Loop(plan, world_of(plan))
-        card = Card.of_plan(plan, loop.shared.table, versions())
+        loop = Loop(config, world_of(config))
+        run_metadata = RunMetadata.of_config(config, loop.shared.table, versions())
         recordings = [
-            Recording(writer, card, loop.shared.table, namespace=each)
+            RunWriter(writer, run_metadata, loop.shared.table, namespace=each)
             for each in namespaces or [""]
         ]
-        for _ in range(plan.cycles * TICKS):
+        for _ in range(config.cycles * TICKS):
             loop.tick(*recordings)
         for each in recordings:
             each.finish()
@@ -248,21 +147,21 @@ def by_loop(folder: Path, plan: Plan, *namespaces: str) -> Path:
     return folder
 
 
-def raws_of(bag: Path) -> list[Raw]:
+def told(bag: Path) -> list[Raw]:
     """Return all messages of a bag in order, but those that only bags carry."""
-    with Bag(bag) as opened:
-        return [raw for raw in opened.raw() if "/run/" not in raw.topic]
+    return [raw for raw in raws_of(bag) if "/run/" not in raw.topic]
 
 
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give the bag of a run of a loop."""
-    return by_loop(tmp_path_factory.mktemp("walked") / "bag", plan())
+    return by_loop(tmp_path_factory.mktemp("walked") / "bag", config())
 
 
 # -- the recorder beside a robot ---------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("namespace", ["", "deep/robot_2"])
 def test_a_recorder_writes_the_bytes_that_the_world_writes(
     ros: Ros, tmp_path: Path, namespace: str
@@ -271,11 +170,11 @@ def test_a_recorder_writes_the_bytes_that_the_world_writes(
     own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
     said = warnings(ros)
     recorder = recording(ros, heard, namespace)
-    robot = Robot(ros, plan(), namespace)
+    robot = robot_of(ros, config(), namespace)
     robot.begin(recorder, bag=str(own))
     robot.run()
     until_recorded(ros, recorder, ALL, namespace)
-    assert ear_of(recorder, namespace).missing == 0
+    assert recorder_of(recorder, namespace).missing == 0
     recorder.finish(ros.spin_once)
     assert list(bytes_of(heard)) == ["bag_0.mcap"]
     assert bytes_of(heard) == bytes_of(own)
@@ -289,10 +188,11 @@ def test_a_recorder_writes_the_bytes_that_the_world_writes(
     assert done.table.sha256() == robot.table
 
 
+@pytest.mark.slow
 def test_a_recorder_records_every_robot_on_the_graph(ros: Ros, tmp_path: Path) -> None:
     """Two robots, one's name the beginning of the other's, one bag: each is replayed by itself."""
-    plans = {"robot_1": plan(seed=8), "robot_12": plan(seed=9, walk__sync_every=4)}
-    robots = {name: Robot(ros, each, name) for name, each in plans.items()}
+    configs = {"robot_1": config(seed=8), "robot_12": config(seed=9, walk__sync_every=4)}
+    robots = {name: robot_of(ros, each, name) for name, each in configs.items()}
     recorder = recording(ros, tmp_path / "bag", all_robots=True)
     for name in robots:
         ros.spin_until(
@@ -305,29 +205,30 @@ def test_a_recorder_records_every_robot_on_the_graph(ros: Ros, tmp_path: Path) -
     for name, robot in robots.items():
         robot.finish()
         until_recorded(ros, recorder, ALL, name)
-        assert ear_of(recorder, name).missing == 0
+        assert recorder_of(recorder, name).missing == 0
     recorder.finish(ros.spin_once)
     with pytest.raises(BagError, match=r"has robots in /robot_1, /robot_12: choose one"):
         Bag(tmp_path / "bag")
     for name, robot in robots.items():
         with Bag(tmp_path / "bag", namespace=name) as bag:
-            assert bag.card is not None
-            assert bag.card.legs["rear_left"].seed == plans[name].seed
+            assert bag.run_metadata is not None
+            assert bag.run_metadata.legs["rear_left"].seed == configs[name].seed
             done = replay(bag)
         assert (done.difference, done.missing, done.ticks) == (None, None, ALL)
         assert done.table.sha256() == robot.table
         alone = tmp_path / name / "bag"
-        by_loop(alone, plans[name])
+        by_loop(alone, configs[name])
         with Bag(alone) as bag:
             assert replay(bag).table.sha256() == robot.table
 
 
+@pytest.mark.slow
 def test_a_recorder_that_joins_late_and_leaves_early_says_so_and_holds_nobody(
     ros: Ros, tmp_path: Path
 ) -> None:
     """The card has the first tick, a replay refuses in words, what is there can be learnt from."""
     said = warnings(ros)
-    robot = Robot(ros, plan(10**6))
+    robot = robot_of(ros, config(10**6))
     robot.begin(patience=2.0)
     robot.walk_to(100)
     joined = robot.tick
@@ -337,10 +238,10 @@ def test_a_recorder_that_joins_late_and_leaves_early_says_so_and_holds_nobody(
     ros.remove(recorder)
     robot.walk_to(robot.tick + 100)
     assert "recorded from tick" in said()
-    assert "not waited for any more" not in said()
+    assert "no longer waits for it" not in said()
     with Bag(tmp_path / "bag") as bag:
-        assert bag.card is not None
-        first = bag.card.first_tick
+        assert bag.run_metadata is not None
+        first = bag.run_metadata.first_tick
         assert first >= joined - 1
         assert next(bag.raw()).ns == first * TICK_NS
         ticks = list(bag.ticks())
@@ -361,24 +262,29 @@ def test_a_table_that_was_asked_for_too_late_is_not_the_one_at_the_start(
     """When legs may have learnt into it nobody knows what they began with; a replay says so."""
     said = warnings(ros)
     recorder = recording(ros, tmp_path / "bag")
-    voice = Voice(ros, recorder, raws_of(walked))
+    voice = Voice(ros, recorder, told(walked))
     voice.say(range(40))
     ros.add(TableNode(context=ros.context))
     until_heard(ros, recorder, 39)
     recorder.finish(ros.spin_once)
-    assert "legs had already learnt" in said()
+    assert "legs had pushed updates" in said()
     with Bag(tmp_path / "bag") as bag:
-        assert bag.card is not None
-        assert (bag.card.first_tick, bag.card.start_table_sha256, bag.table) == (0, None, None)
-        with pytest.raises(BagError, match="table at its start was not asked for in time"):
+        assert bag.run_metadata is not None
+        assert (bag.run_metadata.first_tick, bag.run_metadata.start_table_sha256, bag.table) == (
+            0,
+            None,
+            None,
+        )
+        with pytest.raises(BagError, match="table at its start was not requested in time"):
             replay(bag)
 
 
+@pytest.mark.slow
 def test_a_leg_that_dies_costs_its_commands_and_nothing_else(ros: Ros, tmp_path: Path) -> None:
     """The others, all senses and the body are there, tick by tick; the replay is equal."""
     own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
     recorder = recording(ros, heard)
-    robot = Robot(ros, plan(10**6, learning=False))
+    robot = robot_of(ros, config(10**6, learning=False))
     robot.begin(recorder, bag=str(own), patience=0.5)
     until_recorded(ros, recorder, 40)
     robot.kill("leg_rear_left")
@@ -404,7 +310,7 @@ def test_a_leg_that_dies_costs_its_commands_and_nothing_else(ros: Ros, tmp_path:
             again = replay(bag)
         assert again.difference is None
         assert again.unanswered["rear_left"] >= done - len(gone)
-    assert ear_of(recorder).missing >= done - len(gone)
+    assert recorder_of(recorder).missing >= done - len(gone)
 
 
 def test_nobody_is_there_and_the_bag_is_empty_and_whole(ros: Ros, tmp_path: Path) -> None:
@@ -413,7 +319,7 @@ def test_nobody_is_there_and_the_bag_is_empty_and_whole(ros: Ros, tmp_path: Path
         recorder = recording(ros, tmp_path / name, all_robots=every)
         until_quiet(ros)
         with pytest.raises(
-            BagError, match="no robot was heard " + ("anywhere" if every else "in /")
+            BagError, match="no robot was found " + ("anywhere" if every else "in /")
         ):
             recorder.finish(ros.spin_once)
         ros.remove(recorder)
@@ -427,7 +333,7 @@ def test_a_recorder_must_be_told_where_to(ros: Ros, tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
 
     def make(**parameters: Any) -> None:
-        RecorderNode(context=ros.context, parameter_overrides=given(parameters))
+        RecorderNode(context=ros.context, parameter_overrides=overrides(parameters))
 
     with pytest.raises(ParameterError, match="give the folder of a new bag"):
         make()
@@ -475,8 +381,8 @@ def until_heard(ros: Ros, recorder: Any, tick: int) -> None:
     """Spin until a recorder has begun to record, and has heard of a tick."""
 
     def heard() -> bool:
-        ear = ear_of(recorder)
-        return ear.recording is not None and ear._window._newest >= tick
+        robot = recorder_of(recorder)
+        return robot.run_writer is not None and robot._window.newest >= tick
 
     ros.spin_until(heard, f"tick {tick} is heard")
     until_quiet(ros)
@@ -485,7 +391,7 @@ def until_heard(ros: Ros, recorder: Any, tick: int) -> None:
 @pytest.fixture
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a recorder wait for nobody's answer."""
-    monkeypatch.setattr(recorder_node, "ANSWER_S", 0.0)
+    monkeypatch.setattr("ember_ros.bag.robot_recorder.RESPONSE_S", 0.0)
 
 
 def named(*messages: tuple[str, int]) -> list[Raw]:
@@ -521,12 +427,12 @@ def test_what_a_recorder_misses_is_counted_and_the_rest_is_as_it_was_said(
     """Everything that was heard is in the bag, byte by byte and in its order, and nothing else."""
     lost, count = LOST[what]
     recorder = recording(ros, tmp_path / "bag")
-    voice = Voice(ros, recorder, raws_of(walked))
+    voice = Voice(ros, recorder, told(walked))
     said = voice.say(range(ALL), without=named(*lost))
     until_heard(ros, recorder, ALL - 1)
     recorder.finish(ros.spin_once)
-    assert ear_of(recorder).missing == count
-    assert raws_of(tmp_path / "bag") == said
+    assert recorder_of(recorder).missing == count
+    assert told(tmp_path / "bag") == said
 
 
 @pytest.mark.parametrize("life", [100, 40, 3])
@@ -534,16 +440,16 @@ def test_time_that_begins_anew_ends_the_bag(
     ros: Ros, tmp_path: Path, walked: Path, at_once: None, life: int
 ) -> None:
     """One run a bag: the recorder is done, and nothing of the second run is in it."""
-    other = raws_of(by_loop(tmp_path / "other", plan(seed=4)))
+    other = told(by_loop(tmp_path / "other", config(seed=4)))
     recorder = recording(ros, tmp_path / "bag")
-    voice = Voice(ros, recorder, raws_of(walked), other)
+    voice = Voice(ros, recorder, told(walked), other)
     said = voice.say(range(life))
     until_heard(ros, recorder, life - 1)
     assert not recorder.done
     voice.say(range(ALL), other)
     ros.spin_until(lambda: recorder.done, "the recorder is done")
     recorder.finish(ros.spin_once)
-    assert raws_of(tmp_path / "bag") == said
+    assert told(tmp_path / "bag") == said
 
 
 @pytest.mark.parametrize("seconds", [-1, 10, 2**30])
@@ -552,20 +458,19 @@ def test_one_message_of_another_time_ends_no_recording(
 ) -> None:
     """A wrong clock, phase or stamp is left out, and all that follows is written."""
     recorder = recording(ros, tmp_path / "bag")
-    voice = Voice(ros, recorder, raws_of(walked))
+    voice = Voice(ros, recorder, told(walked))
     said = voice.say(range(60))
     until_heard(ros, recorder, 59)
-    ns, params = 59 * TICK_NS + seconds * 10**9, plan().params
-    voice.publishers["/clock"].publish(wire.pack_clock(ns))
-    voice.publishers["/cpg/phase"].publish(wire.pack_phase(ns / 1e9 / params.gait.period))
-    data = next(raw.data for raw in reversed(said) if raw.topic == "/rear_left/command")
-    stamp = wire.pack_clock(ns)[4:12]
-    voice.publishers["/rear_left/command"].publish(data[:4] + stamp + data[12:])
+    ns = 59 * TICK_NS + seconds * 10**9
+    voice.publishers["/clock"].publish(cdr.pack_clock(ns))
+    for topic in ("/cpg/phase", "/rear_left/command"):
+        data = next(raw.data for raw in reversed(said) if raw.topic == topic)
+        voice.publishers[topic].publish(cdr.pack_clock(ns) + data[12:])
     said += voice.say(range(60, ALL))
     until_heard(ros, recorder, ALL - 1)
     assert not recorder.done
     recorder.finish(ros.spin_once)
-    assert raws_of(tmp_path / "bag") == said
+    assert told(tmp_path / "bag") == said
 
 
 def test_what_is_no_message_is_not_recorded_and_disturbs_nobody(
@@ -573,7 +478,7 @@ def test_what_is_no_message_is_not_recorded_and_disturbs_nobody(
 ) -> None:
     """Nonsense on a robot's topics carries no tick: it is left out, and all else is written."""
     recorder = recording(ros, tmp_path / "bag")
-    voice = Voice(ros, recorder, raws_of(walked))
+    voice = Voice(ros, recorder, told(walked))
     said = voice.say(range(60))
     until_heard(ros, recorder, 59)
     for topic in ("/rear_left/joint_states", "/cpg/phase", "/clock", "/rear_left/command"):
@@ -581,7 +486,7 @@ def test_what_is_no_message_is_not_recorded_and_disturbs_nobody(
     said += voice.say(range(60, ALL))
     until_heard(ros, recorder, ALL - 1)
     recorder.finish(ros.spin_once)
-    assert raws_of(tmp_path / "bag") == said
+    assert told(tmp_path / "bag") == said
 
 
 # -- the world that records itself -------------------------------------------------------------
@@ -589,10 +494,10 @@ def test_what_is_no_message_is_not_recorded_and_disturbs_nobody(
 
 def test_the_world_asks_legs_and_table_what_determines_its_run(ros: Ros, tmp_path: Path) -> None:
     """Told nothing but the folder: the card is the plan's, the table the one at the start."""
-    table = empty_table(plan().params)
+    table = empty_table(config().params)
     table.values[::7], table.visits[::7] = 0.25, 3
-    save_table(tmp_path / "table.npz", table, plan().params, 0)
-    own = plan(
+    save_table(tmp_path / "table.npz", table, config().params, 0)
+    own = config(
         seed=7, policy="random", table=tmp_path / "table.npz", reward__slip=2.0,
         walk__smooth=0.3, physics__friction=0.9, walker__mass=4.0, trainer__tip_mass=2.0,
         leg__load=20.0, train__gamma=0.7,
@@ -607,7 +512,7 @@ def test_the_world_asks_legs_and_table_what_determines_its_run(ros: Ros, tmp_pat
         graph.finish()
         learnt = graph.nodes["table_node"].shared.table.sha256()
     with Bag(tmp_path / "bag") as bag:
-        assert bag.card == Card.of_plan(own, table, versions())
+        assert bag.run_metadata == RunMetadata.of_config(own, table, versions())
         assert bag.table is not None
         assert bag.table.sha256() == table.sha256()
         done = replay(bag)
@@ -637,23 +542,25 @@ def test_a_leg_of_others_making_is_recorded_and_not_replayed(
     ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, services: bool
 ) -> None:
     """The bag says why it cannot be replayed, in the log and when it is tried; learning works."""
-    monkeypatch.setattr(sim_module, "ANSWER_S", 0.5)
+    monkeypatch.setattr(sim_module, "METADATA_S", 0.5)
     said = warnings(ros)
-    robot = Robot(ros, plan(2), without=["leg_rear_left"])
+    robot = robot_of(ros, config(2), without=["leg_rear_left"])
     robot.nodes["other"] = ros.add(
         OtherLeg("rear_left", context=ros.context, start_parameter_services=services)
     )
     robot.begin(bag=str(tmp_path / "bag"), patience=0.5 if not services else PATIENCE_S)
     ros.spin_until(lambda: robot.sim.done, "the last tick")
     robot.sim.finish(ros.spin_once)
-    assert "cannot be replayed: rear_left does not say what it was told" in said()
+    assert "cannot be replayed: rear_left has no parameters of a leg node of this package" in said()
     with Bag(tmp_path / "bag") as bag:
-        assert bag.card is not None
-        assert list(bag.card.legs) == [leg for leg in LEGS if leg != "rear_left"]
+        assert bag.run_metadata is not None
+        assert list(bag.run_metadata.legs) == [leg for leg in LEGS if leg != "rear_left"]
         ticks = list(bag.ticks())
         assert len(ticks) == 2 * TICKS
         assert {c.knee_speed for t in ticks if (c := t.commands[2]) is not None} == {0.0}
-        with pytest.raises(BagError, match=r"nothing is known of rear_left: not legs of ours"):
+        with pytest.raises(
+            BagError, match=r"it has no metadata of rear_left: not leg nodes of ember_ros"
+        ):
             replay(bag)
     assert relearn([tmp_path / "bag"]).ticks == 2 * TICKS
 
@@ -661,9 +568,9 @@ def test_a_leg_of_others_making_is_recorded_and_not_replayed(
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"seed": 9}, r"its legs were told different things .*'seed': 9"),
-        ({"shared": False}, r"its legs were told different things .*'shared': False"),
-        ({"reward.slip": 3.0}, "nothing is known of rear_left"),
+        ({"seed": 9}, r"its legs had different configurations .*'seed': 9"),
+        ({"shared": False}, r"its legs had different configurations .*'shared': False"),
+        ({"reward.slip": 3.0}, "it has no metadata of rear_left"),
     ],
     ids=["seed", "shared", "parameter"],
 )
@@ -671,7 +578,7 @@ def test_legs_that_were_told_different_things_are_not_replayed(
     ros: Ros, tmp_path: Path, changes: dict[str, Any], says: str
 ) -> None:
     """No plan says what these legs did: the replay refuses and says why, the bag is whole."""
-    robot = Robot(ros, plan(1), leg_rear_left=changes)
+    robot = robot_of(ros, config(1), leg_rear_left=changes)
     robot.begin(bag=str(tmp_path / "bag"))
     robot.run()
     with Bag(tmp_path / "bag") as bag:
@@ -680,13 +587,14 @@ def test_legs_that_were_told_different_things_are_not_replayed(
             replay(bag)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [False, True], ids=["at once", "after a while"])
 def test_a_disk_that_is_full_ends_the_run_with_an_error(
     ros: Ros, tmp_path: Path, after: bool
 ) -> None:
     """The world does not walk on unrecorded: a BagError; what was flushed is brought back."""
     folder = tmp_path / "bag"
-    long = plan(10**6)
+    long = config(10**6)
     graph = Graph(
         long, patience=PATIENCE_S, bag=BagOptions(folder), world=world_of(long), context=ros.context
     )
@@ -694,7 +602,7 @@ def test_a_disk_that_is_full_ends_the_run_with_an_error(
         if after:
             ros.spin_until(lambda: size_of(folder) > 60_000, "some chunks", graph.spin_once)
         most = size_of(folder) + 1000
-        writes = graph.sim._bag._process.pid
+        writes = graph.sim._bag._writer._process.pid
         resource.prlimit(writes, resource.RLIMIT_FSIZE, (most, most))
         ros.spin_until(lambda: graph.sim.done, "the disk is full", graph.spin_once)
         with pytest.raises(BagError, match=r"cannot write the bag .*File too large"):
@@ -711,7 +619,7 @@ def test_a_disk_that_is_full_ends_the_run_with_an_error(
 
 def test_a_writer_that_is_killed_ends_the_run_with_an_error(ros: Ros, tmp_path: Path) -> None:
     """Whatever became of who writes, the run ends with a BagError that says what to do."""
-    long = plan(10**6)
+    long = config(10**6)
     graph = Graph(
         long,
         patience=PATIENCE_S,
@@ -721,7 +629,7 @@ def test_a_writer_that_is_killed_ends_the_run_with_an_error(ros: Ros, tmp_path: 
     )
     with closing(graph):
         ros.spin_until(lambda: size_of(tmp_path / "bag") > 60_000, "some chunks", graph.spin_once)
-        graph.sim._bag._process.send_signal(signal.SIGKILL)
+        graph.sim._bag._writer._process.send_signal(signal.SIGKILL)
         ros.spin_until(lambda: graph.sim.done, "the writer is gone", graph.spin_once)
         with pytest.raises(BagError, match="ember bag repair"):
             graph.finish()
@@ -826,7 +734,7 @@ def test_a_robot_in_a_namespace_is_played_alone_and_sets_the_clock_too(
     ros: Ros, tmp_path: Path, clock: Clock
 ) -> None:
     """Of two robots in a bag one is heard, also if the other's name begins like its own."""
-    folder = by_loop(tmp_path / "bag", plan(1), "robot_1", "robot_12", "robot_1/trailer")
+    folder = by_loop(tmp_path / "bag", config(1), "robot_1", "robot_12", "robot_1/trailer")
     playing = Playing(ros, folder, "robot_1")
     playing.play()
     own = {topic for topic in playing.bag.connections if topic.startswith("/robot_1/")}
@@ -841,7 +749,7 @@ def test_a_robot_without_a_namespace_is_played_alone(
     ros: Ros, tmp_path: Path, clock: Clock
 ) -> None:
     """What is in the bag of a robot in a namespace is not heard of the one that has none."""
-    folder = by_loop(tmp_path / "bag", plan(1), "", "robot_1")
+    folder = by_loop(tmp_path / "bag", config(1), "", "robot_1")
     playing = Playing(ros, folder, "")
     playing.play()
     assert not [topic for topic in playing.heard if topic.startswith("/robot_1/")]
@@ -884,7 +792,7 @@ def test_what_lies_before_the_start_is_left_out(
     playing.bag.close()
 
 
-def live_leg(ros: Ros, own: Plan, leg: str) -> Any:
+def live_leg(ros: Ros, own: RunConfig, leg: str) -> Any:
     """Return a leg that shares no table."""
     numbers = {
         f"{group}.{field}": value
@@ -892,7 +800,7 @@ def live_leg(ros: Ros, own: Plan, leg: str) -> Any:
         for field, value in fields.items()
     }
     options = {"leg": leg, "policy": own.policy, "learning": own.learning, "shared": False}
-    return LegNode(context=ros.context, parameter_overrides=given(numbers | options))
+    return LegNode(context=ros.context, parameter_overrides=overrides(numbers | options))
 
 
 @pytest.mark.parametrize("onlooker", [False, True], ids=["alone", "with an onlooker"])
@@ -903,7 +811,7 @@ def test_a_live_leg_is_waited_for_and_answers_every_tick(
 
     The leg is written by hand, so what it does live is what was recorded.
     """
-    own = plan(2, policy="scripted", learning=False)
+    own = config(2, policy="scripted", learning=False)
     folder = by_loop(tmp_path / "bag", own)
     options: dict[str, Any] = {"rate": 10.0, "live": ["front_left"]}
     playing = Playing(ros, folder, paused=False, **options) if onlooker else None
@@ -938,12 +846,13 @@ def test_a_player_refuses_what_it_cannot_play(ros: Ros, walked: Path) -> None:
 # -- asking ------------------------------------------------------------------------------------
 
 PLANS = {
-    "walker": plan(0),
-    "walker, other numbers": plan(
+    "walker": config(0),
+    "walker, other numbers": config(
         0, seed=11, policy="random", learning=False, walk__gamma=0.5, reward__slip=2.5,
-        walker__mass=4.0, physics__friction=0.8, gait__offset_rear_left=0.25, leg__load=20.0,
+        walker__mass=4.0, physics__friction=0.8, leg__load=20.0,
+        robot__offset=(0.0, 0.5, 0.25, 0.0), parts__cpg="support.oscillators.Hurrying",
     ),
-    "trainer": Plan("trainer", 0, seed=2, params=replace(Params(), {"trainer.tip_mass": 2.0})),
+    "trainer": RunConfig("trainer", 0, seed=2, params=replace(Params(), {"trainer.tip_mass": 2.0})),
 }  # fmt: skip
 
 
@@ -955,47 +864,48 @@ def test_what_nodes_say_is_what_their_plan_was(ros: Ros, name: str, namespace: s
     with closing(
         Graph(own, patience=PATIENCE_S, namespace=namespace, context=ros.context)
     ) as graph:
-        inquiry = Inquiry(ros.node, namespace)
-        assert inquiry.world is None
-        ros.spin_until(lambda: not inquiry.ask(), "all have answered", graph.spin_once)
-        assert inquiry.world == own.world
-        card, table, wrong = inquiry.card(own.world, 0)
+        client = MetadataClient(ros.node, namespace)
+        assert client.world is None
+        ros.spin_until(lambda: not client.poll(), "all have answered", graph.spin_once)
+        assert client.world == own.world
+        run_metadata, table, wrong = client.run_metadata(own.world, 0)
         empty = empty_table(own.params)
-        assert card == Card.of_plan(own, empty, versions())
+        assert run_metadata == RunMetadata.of_config(own, empty, versions())
         assert wrong == []
+        assert run_metadata.params.parts.cpg == own.params.parts.cpg
         assert table is not None
         assert table.sha256() == empty.sha256()
         # Of a later tick on the same nodes: what the table was at the start is not known.
-        card, table, wrong = inquiry.card(own.world, 7)
-        assert (card.first_tick, card.start_table_sha256, table) == (7, None, None)
+        run_metadata, table, wrong = client.run_metadata(own.world, 7)
+        assert (run_metadata.first_tick, run_metadata.start_table_sha256, table) == (7, None, None)
         assert "recorded from tick 7 on" in " ".join(wrong)
 
 
 def test_nobody_who_answers_is_said_with_names(ros: Ros) -> None:
     """Where no robot is, who was waited for is named, and the card claims nothing."""
-    inquiry = Inquiry(ros.node, "")
+    client = MetadataClient(ros.node, "")
     for _ in range(20):
         ros.spin_once(0.001)
-        assert inquiry.ask() == ["clock", "table/pull"]
-    card, table, wrong = inquiry.card("walker", 0)
-    assert (dict(card.legs), card.start_table_sha256, table) == ({}, None, None)
+        assert client.poll() == ["clock", "cpg/phase", "table/pull"]
+    run_metadata, table, wrong = client.run_metadata("walker", 0)
+    assert (dict(run_metadata.legs), run_metadata.start_table_sha256, table) == ({}, None, None)
     for leg in LEGS:
-        assert any(why.startswith(f"{leg} does not say") for why in wrong)
-    assert "nobody serves a table" in wrong
+        assert any(why.startswith(f"{leg} has no parameters") for why in wrong)
+    assert "no node serves table/pull" in wrong
 
 
 def test_a_recorder_that_heard_nobody_ends_with_an_error(
     ros: Ros, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It says meanwhile that nothing is recorded, and in the end where it listened in vain."""
-    monkeypatch.setattr("ember_ros.bag.recorder_node.SAY_S", 0.0)
+    monkeypatch.setattr("ember_ros.bag.recorder_node.LOG_S", 0.0)
     said: list[str] = []
 
     def says() -> bool:
         said.append(capfd.readouterr().err)
-        return "/robot: nothing is recorded, no robot speaks here yet" in "".join(said)
+        return "/robot: nothing is recorded, no robot publishes here yet" in "".join(said)
 
     recorder = recording(ros, tmp_path / "bag", "/robot")
     ros.spin_until(says, "that it records nothing")
-    with pytest.raises(BagError, match=r"no robot was heard in /robot: the bag .*bag is empty"):
+    with pytest.raises(BagError, match=r"no robot was found in /robot: the bag .*bag is empty"):
         recorder.finish(ros.spin_once)

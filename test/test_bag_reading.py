@@ -14,7 +14,6 @@ import shutil
 import sqlite3
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,42 +22,41 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ember_ros import topics, wire
-from ember_ros.bag import look
-from ember_ros.bag.card import FORMAT, Card, LegCard, read_card
-from ember_ros.bag.reading import Bag, Raw, Tick
-from ember_ros.bag.recording import FLUSH_TICKS, Recording, crc_of
+from ember_ros import cdr, topics, wire
+from ember_ros.bag import inspection
+from ember_ros.bag.reader import Bag, Raw, Tick
+from ember_ros.bag.run_metadata import FORMAT, LegMetadata, RunMetadata, read_run_metadata
+from ember_ros.bag.run_writer import FLUSH_TICKS, RunWriter, crc_of
 from ember_ros.bag.storage import (
     INFORMATION,
     METADATA,
     STORAGES,
     BagOptions,
-    BagWriter,
+    McapWriter,
     definition,
     seal,
 )
 from ember_ros.bag.window import LATE, Window
-from ember_ros.errors import BagError
+from ember_ros.errors import BagError, ParameterError
 from ember_ros.loop import Loop
-from ember_ros.params import Params, as_dict, params_sha256, replace
-from ember_ros.plan import Plan, legs_of
-from ember_ros.report.recorder import BODY, Recorder, Row, load_record
-from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Phase, Transition
-from leg_node.gait import LegGait
-from leg_node.reward import Rewarder
-from leg_node.state import Partition
-from leg_node.table import empty_table
+from ember_ros.offline.replay import replay
+from ember_ros.params import TRAINER_LEG, Params, as_dict, digest, params_sha256, replace
+from ember_ros.report.run_statistics import BODY, Row, RunStatistics, load_record
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
+from ember_ros.worlds import legs_of
+from leg_node.assembly import empty_table
+from leg_node.discretizer import PaperDiscretizer
+from leg_node.reward import PaperReward
 from sim_node.fake import FakeWorld
+from support import bags
+from support.bags import raws_of
+from support.configs import TINY as PARAMS
+from support.legs import LEGS
+from support.needs import needs_bags
 
-pytestmark = pytest.mark.skipif(
-    find_spec("rosbags") is None or find_spec("mcap") is None, reason="rosbags or mcap is missing"
-)
+pytestmark = needs_bags
 
-PARAMS = replace(
-    Params(),
-    {"state.hip_bins": 3, "state.force_edges": [0.5], "state.inclination_edges": [-0.5]},
-)
-"""A small table: bags of it are small, too."""
 TICKS, TICK_NS = PARAMS.gait.ticks, PARAMS.gait.tick_ns
 NOON = 1_717_243_200_000_000_000
 """Wall-clock time, ns, at which others record."""
@@ -97,7 +95,7 @@ class Listener:
 
     def tick(
         self,
-        phase: Phase,
+        beat: Beat,
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
@@ -105,7 +103,7 @@ class Listener:
     ) -> None:
         """Keep one tick."""
         told = tuple(senses), tuple(commands), body, tuple(transitions)
-        self.heard.append(Tick(senses[0].tick, phase, *told))
+        self.heard.append(Tick(beat.tick, beat, *told))
 
 
 class Run(NamedTuple):
@@ -113,7 +111,7 @@ class Run(NamedTuple):
 
     bag: Path
     heard: list[Tick]
-    plan: Plan
+    config: RunConfig
     rows: list[Row]
     """Of the ``cycles.csv`` that was written beside it."""
 
@@ -133,20 +131,20 @@ def record(
     falls_at: Sequence[int] = (),
     params: Params = PARAMS,
     seed: int = 0,
-    writer: BagWriter | None = None,
+    writer: McapWriter | None = None,
 ) -> Run:
     """Record a run, as ``ember_ros.run`` does; into an open bag if a writer is given."""
-    plan = Plan(world, 1, seed=seed, params=params, policy="random")
-    loop = Loop(plan, Nodding(plan.legs, params, falls_at=falls_at))
+    config = RunConfig(world, 1, seed=seed, params=params, policy="random")
+    loop = Loop(config, Nodding(config.legs, params, falls_at=falls_at))
     listener, recorder = (
         Listener(),
-        Recorder(params, plan.legs, bag.with_name(f"{bag.name}-beside")),
+        RunStatistics(params, config.legs, bag.with_name(f"{bag.name}-beside")),
     )
-    into = writer or BagWriter(BagOptions(bag, split_s=split_s))
+    into = writer or McapWriter(BagOptions(bag, split_s=split_s))
     try:
         table = loop.shared.table
-        card = Card.of_plan(plan, table, {"ember_ros": "test"})
-        recording = Recording(into, card, table, namespace=namespace)
+        run_metadata = RunMetadata.of_config(config, table, {"ember_ros": "test"})
+        recording = RunWriter(into, run_metadata, table, namespace=namespace)
         for _ in range(ticks):
             loop.tick(listener, recorder, recording)
         recording.finish()
@@ -160,7 +158,7 @@ def record(
     if storage == "sqlite3":
         in_sqlite(bag)
     rows = load_record(bag.with_name(f"{bag.name}-beside")).rows
-    return Run(bag, listener.heard, plan, rows)
+    return Run(bag, listener.heard, config, rows)
 
 
 def in_sqlite(bag: Path) -> Path:
@@ -183,15 +181,7 @@ def in_sqlite(bag: Path) -> Path:
 
 def write(bag: Path, raws: Iterable[Raw], storage: str = "mcap") -> Path:
     """Write messages as they are, into a bag of ours."""
-    writer = BagWriter(BagOptions(bag))
-    try:
-        for n, raw in enumerate(raws):
-            writer.write(writer.channel(raw.topic, raw.kind), raw.ns, raw.data)
-            if n % 500 == 499:
-                writer.flush()
-        writer.close()
-    finally:
-        writer.abandon()
+    bags.write(bag, raws)
     return in_sqlite(bag) if storage == "sqlite3" else bag
 
 
@@ -214,12 +204,6 @@ def write_as_others_do(
                 )
             writer.write(connections[raw.topic], raw.ns, raw.data)
     return bag
-
-
-def raws_of(bag: Path) -> list[Raw]:
-    """Return all messages of a bag."""
-    with Bag(bag) as opened:
-        return list(opened.raw())
 
 
 def heads_of(bag: Path) -> list[Raw]:
@@ -309,8 +293,8 @@ def test_parts_may_come_in_any_order(come: list[tuple[int, str]], take: list[boo
     for (tick, part), now in zip(come, itertools.chain(take, itertools.repeat(True)), strict=False):
         assert window.put(tick, part, (tick, part))
         if now:
-            out += window.take()
-    out += window.rest()
+            out += window.pop_complete()
+    out += window.pop_rest()
     assert out == [
         (tick, {part: (tick, part) for part in PARTS}) for tick in sorted({t for t, _ in come})
     ]
@@ -324,8 +308,8 @@ def test_the_first_tick_may_come_after_the_second() -> None:
         for part in PARTS:
             assert window.put(tick, part, tick)
             if tick:
-                assert list(window.take()) == []
-    assert [tick for tick, _ in window.take()] == [0, 1]
+                assert list(window.pop_complete()) == []
+    assert [tick for tick, _ in window.pop_complete()] == [0, 1]
 
 
 @given(
@@ -342,10 +326,10 @@ def test_what_does_not_come_is_waited_for_and_then_left_out(lost: dict[int, set[
         for part in PARTS:
             if part not in lost.get(tick, ()):
                 assert window.put(tick, part, part)
-        for each, parts in window.take():
+        for each, parts in window.pop_complete():
             assert set(parts) == set(PARTS) - lost.get(each, set())
             out[each] = tick
-    for each, _ in window.rest():
+    for each, _ in window.pop_rest():
         out[each] = -1
     gone = {tick for tick, parts in lost.items() if parts == set(PARTS)}
     assert list(out) == [tick for tick in range(ticks) if tick not in gone]
@@ -364,10 +348,10 @@ def test_a_tick_that_stays_incomplete_comes_out_after_so_many_newer_ones() -> No
     window = Window(PARTS)
     window.put(0, "a", 0)
     for tick in range(1, LATE + 1):
-        assert list(window.take()) == []
+        assert list(window.pop_complete()) == []
         for part in PARTS:
             window.put(tick, part, tick)
-    taken = list(window.take())
+    taken = list(window.pop_complete())
     assert taken[0] == (0, {"a": 0})
     assert [tick for tick, _ in taken] == list(range(LATE + 1))
 
@@ -377,9 +361,9 @@ def test_what_is_left_comes_in_order() -> None:
     window = Window(PARTS)
     for tick in (9, 3, 5):
         window.put(tick, "b", tick)
-    assert list(window.rest()) == [(3, {"b": 3}), (5, {"b": 5}), (9, {"b": 9})]
-    assert list(window.rest()) == []
-    assert list(window.take()) == []
+    assert list(window.pop_rest()) == [(3, {"b": 3}), (5, {"b": 5}), (9, {"b": 9})]
+    assert list(window.pop_rest()) == []
+    assert list(window.pop_complete()) == []
 
 
 def test_stale_parts_are_refused() -> None:
@@ -388,11 +372,11 @@ def test_stale_parts_are_refused() -> None:
     for tick in range(3):
         for part in PARTS:
             assert window.put(tick, part, "first")
-    assert [tick for tick, _ in window.take()] == [0, 1, 2]
+    assert [tick for tick, _ in window.pop_complete()] == [0, 1, 2]
     for tick in range(3):
         assert not window.put(tick, "a", "again")
-    assert list(window.take()) == []
-    assert list(window.rest()) == []
+    assert list(window.pop_complete()) == []
+    assert list(window.pop_rest()) == []
     assert window.last == 2
 
 
@@ -402,19 +386,19 @@ def test_parts_that_nobody_waits_for_may_come_too() -> None:
     window.put(0, "a", 1)
     window.put(0, "x", 2)
     window.put(1, "a", 3)
-    assert list(window.take()) == [(0, {"a": 1, "x": 2}), (1, {"a": 3})]
+    assert list(window.pop_complete()) == [(0, {"a": 1, "x": 2}), (1, {"a": 3})]
 
 
 def test_a_tick_may_need_more_than_its_parts() -> None:
     """What else must hold is asked, and holds the tick and all behind it back until it does."""
     ready: list[bool] = []
-    window = Window(["a"], also=lambda found: bool(ready) and found["a"] == 0)
+    window = Window(["a"], is_complete=lambda parts: bool(ready) and parts["a"] == 0)
     for tick in range(3):
         window.put(tick, "a", tick)
-    assert list(window.take()) == []
+    assert list(window.pop_complete()) == []
     ready.append(True)
-    assert [tick for tick, _ in window.take()] == [0]
-    assert [tick for tick, _ in window.rest()] == [1, 2]
+    assert [tick for tick, _ in window.pop_complete()] == [0]
+    assert [tick for tick, _ in window.pop_rest()] == [1, 2]
 
 
 FAR = [LATE + 60, 10**6, 2**53]
@@ -432,8 +416,8 @@ def test_a_part_far_ahead_of_all_others_is_not_waited_for(
     for tick in range(40 + LATE):
         for part in "abcde":
             window.put(far if tick == at and part in lying else tick, part, tick)
-            out.update(window.take())
-    out.update(window.rest())
+            out.update(window.pop_complete())
+    out.update(window.pop_rest())
     assert list(out) == list(range(40 + LATE))
     assert {tick: set("abcde") - parts.keys() for tick, parts in out.items() if len(parts) < 5} == {
         at: set(lying)
@@ -448,9 +432,9 @@ def test_a_leg_whose_clock_is_wrong_for_good_ends_nothing() -> None:
     for tick in range(500):
         for part in "abcd":
             window.put(tick + 10**9 * (part == "c"), part, tick)
-            out.update(window.take())
+            out.update(window.pop_complete())
         assert len(window._ahead) <= LATE + 2
-    out.update(window.rest())
+    out.update(window.pop_rest())
     assert list(out) == list(range(500))
     assert all(parts.keys() == set("abd") for parts in out.values())
     assert window.displaced == 500
@@ -467,8 +451,8 @@ def test_a_gap_is_gone_over(parts: str, first: int, far: int) -> None:
     for tick in ticks:
         for part in parts:
             assert window.put(tick, part, tick)
-            out.update(window.take())
-    out.update(window.rest())
+            out.update(window.pop_complete())
+    out.update(window.pop_rest())
     assert out == {tick: dict.fromkeys(parts, tick) for tick in ticks}
     assert window.displaced == 0
 
@@ -496,8 +480,8 @@ every_params = st.builds(
         },
     ),
 )
-plans = st.builds(
-    Plan,
+configs = st.builds(
+    RunConfig,
     st.sampled_from(["walker", "trainer"]),
     st.integers(0, 10**6),
     seed=st.integers(0, 2**63 - 1),
@@ -509,33 +493,37 @@ plans = st.builds(
 
 
 @settings(max_examples=60)
-@given(plan=plans, versions=st.dictionaries(st.text(max_size=9), st.text(max_size=9), max_size=3))
-def test_a_card_says_the_whole_plan(plan: Plan, versions: dict[str, str]) -> None:
+@given(
+    config=configs, versions=st.dictionaries(st.text(max_size=9), st.text(max_size=9), max_size=3)
+)
+def test_a_card_says_the_whole_plan(config: RunConfig, versions: dict[str, str]) -> None:
     """Through JSON and back: the same card, to the bit, and the plan that it was made of."""
-    table = empty_table(plan.params)
-    card = Card.of_plan(plan, table, versions)
-    again = read_card(card.to_json(), "here")
-    assert again == card
-    assert repr(as_dict(again.params)) == repr(as_dict(plan.params))
+    table = empty_table(config.params)
+    run_metadata = RunMetadata.of_config(config, table, versions)
+    again = read_run_metadata(run_metadata.to_json(), "here")
+    assert again == run_metadata
+    assert repr(as_dict(again.params)) == repr(as_dict(config.params))
     assert again.start_table_sha256 == table.sha256()
-    assert list(again.legs) == list(plan.legs)
-    assert again.plan(plan.cycles, plan.table) == plan
-    content = json.loads(card.to_json())
-    assert content["params_sha256"] == params_sha256(plan.params)
+    assert list(again.legs) == list(config.legs)
+    assert again.config(config.cycles, config.table) == config
+    content = json.loads(run_metadata.to_json())
+    assert content["params_sha256"] == params_sha256(config.params)
 
 
-def _told(card: Card, leg: str, **changes: Any) -> dict[str, LegCard]:
-    return {**card.legs, leg: card.legs[leg]._replace(**changes)}
+def _told(run_metadata: RunMetadata, leg: str, **changes: Any) -> dict[str, LegMetadata]:
+    return {**run_metadata.legs, leg: run_metadata.legs[leg]._replace(**changes)}
 
 
-WHOLE = Card.of_plan(Plan("walker", 1, params=PARAMS), empty_table(PARAMS), {"numpy": "2"})
+WHOLE = RunMetadata.of_config(
+    RunConfig("walker", 1, params=PARAMS), empty_table(PARAMS), {"numpy": "2"}
+)
 
 
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
         ({"first_tick": 5}, ("tick 5", "start the recorder before the world")),
-        ({"start_table_sha256": None}, ("table at its start", "not asked for in time")),
+        ({"start_table_sha256": None}, ("table at its start", "not requested in time")),
         ({"legs": _told(WHOLE, "rear_left", seed=7)}, ("different", "rear_left", "7")),
         ({"legs": _told(WHOLE, "front_right", policy="random")}, ("different", "'random'")),
         ({"legs": _told(WHOLE, "front_left", learning=False)}, ("different", "learning")),
@@ -546,27 +534,27 @@ WHOLE = Card.of_plan(Plan("walker", 1, params=PARAMS), empty_table(PARAMS), {"nu
         ),
         (
             {"legs": {leg: WHOLE.legs[leg] for leg in LEGS[:2]}},
-            ("rear_left, rear_right", "not legs of ours"),
+            ("rear_left, rear_right", "not leg nodes of ember_ros"),
         ),
-        ({"legs": {}}, (", ".join(LEGS), "not legs of ours")),
+        ({"legs": {}}, (", ".join(LEGS), "not leg nodes of ember_ros")),
     ],
 )
 def test_what_cannot_be_replayed_says_why(changes: dict[str, Any], says: Sequence[str]) -> None:
     """A run whose beginning, table or legs are not known has no plan; the message names it."""
-    card = dataclasses.replace(WHOLE, **changes)
-    again = read_card(card.to_json(), "here")
-    assert again == card
+    run_metadata = dataclasses.replace(WHOLE, **changes)
+    again = read_run_metadata(run_metadata.to_json(), "here")
+    assert again == run_metadata
     with pytest.raises(BagError, match="cannot be replayed") as refused:
-        again.plan(1, None)
+        again.config(1, None)
     for each in says:
         assert each in str(refused.value)
 
 
 def test_a_card_without_a_table_keeps_the_rest() -> None:
     """Only what nobody knows is left out."""
-    card = WHOLE.without_table()
-    assert card.start_table_sha256 is None
-    assert dataclasses.replace(card, start_table_sha256=WHOLE.start_table_sha256) == WHOLE
+    run_metadata = WHOLE.without_table()
+    assert run_metadata.start_table_sha256 is None
+    assert dataclasses.replace(run_metadata, start_table_sha256=WHOLE.start_table_sha256) == WHOLE
 
 
 @pytest.mark.parametrize("format", [FORMAT + 1, 0, -1, "1", None, [1]])
@@ -574,24 +562,24 @@ def test_a_card_of_another_format_is_not_guessed_at(format: Any) -> None:
     """Its number is said, and the one that is known, and who would know it."""
     text = json.dumps({**json.loads(WHOLE.to_json()), "format": format})
     with pytest.raises(BagError, match="newer ember_ros") as refused:
-        read_card(text, "the bag: /run/card")
+        read_run_metadata(text, "the bag: /run/card")
     assert "the bag: /run/card" in str(refused.value)
     assert repr(format) in str(refused.value)
-    assert f"knows {FORMAT}" in str(refused.value)
+    assert f"reads {FORMAT}" in str(refused.value)
 
 
 @given(length=st.integers(0, len(WHOLE.to_json()) - 1))
 def test_a_card_that_was_cut_off_is_none(length: int) -> None:
     """Wherever it ends: refused, and it is said where it was."""
     with pytest.raises(BagError, match="the bag: /run/card"):
-        read_card(WHOLE.to_json()[:length], "the bag: /run/card")
+        read_run_metadata(WHOLE.to_json()[:length], "the bag: /run/card")
 
 
 @pytest.mark.parametrize("text", ["", "null", "[]", "7", '"format"', "{}", "{'format': 1}", "\0"])
 def test_other_json_is_no_card(text: str) -> None:
     """Whatever it is: refused in words."""
     with pytest.raises(BagError, match="is no card of a run"):
-        read_card(text, "here")
+        read_run_metadata(text, "here")
 
 
 @pytest.mark.parametrize("key", sorted(json.loads(WHOLE.to_json()).keys() - {"params_sha256"}))
@@ -600,16 +588,18 @@ def test_a_card_without_a_key_is_not_whole(key: str) -> None:
     content = json.loads(WHOLE.to_json())
     del content[key]
     with pytest.raises(BagError, match=key):
-        read_card(json.dumps(content), "here")
+        read_run_metadata(json.dumps(content), "here")
 
 
-@pytest.mark.parametrize("key", [n for n in LegCard._fields if n not in LegCard._field_defaults])
+@pytest.mark.parametrize(
+    "key", [n for n in LegMetadata._fields if n not in LegMetadata._field_defaults]
+)
 def test_a_leg_on_a_card_without_a_key_is_not_whole(key: str) -> None:
     """The key that is missing is named."""
     content = json.loads(WHOLE.to_json())
     del content["legs"]["rear_left"][key]
     with pytest.raises(BagError, match=key):
-        read_card(json.dumps(content), "here")
+        read_run_metadata(json.dumps(content), "here")
 
 
 @pytest.mark.parametrize(
@@ -636,22 +626,22 @@ def test_a_leg_on_a_card_without_a_key_is_not_whole(key: str) -> None:
 def test_a_card_with_a_value_of_another_kind_is_not_whole(key: str, value: Any) -> None:
     """Whoever reads a card can rely on the types of what it says."""
     text = json.dumps({**json.loads(WHOLE.to_json()), key: value})
-    with pytest.raises(BagError, match="no whole card"):
-        read_card(text, "here")
+    with pytest.raises(BagError, match="no complete card"):
+        read_run_metadata(text, "here")
 
 
 def test_a_card_with_parameters_that_were_changed_is_damaged() -> None:
     """Its SHA-256 is that of what was stored, names that nobody knows among it."""
     text = json.dumps({**json.loads(WHOLE.to_json()), "params": {"gait": {"perod": 0.5}}})
     with pytest.raises(BagError, match="damaged: its parameters do not have the SHA-256"):
-        read_card(text, "here")
+        read_run_metadata(text, "here")
 
 
 def test_a_leg_on_an_older_card_started_at_cycle_0() -> None:
     """A card of before a run could go on says no start cycle."""
     content = json.loads(WHOLE.to_json())
     del content["legs"]["rear_left"]["start_cycle"]
-    assert read_card(json.dumps(content), "here").legs["rear_left"].start_cycle == 0
+    assert read_run_metadata(json.dumps(content), "here").legs["rear_left"].start_cycle == 0
 
 
 # -- what was recorded is read back --------------------------------------------------------------
@@ -680,13 +670,13 @@ def test_every_tick_comes_back_with_all_its_bits(
     assert len(list(run.bag.glob(f"*{STORAGES[storage]}"))) == (3 if split_s else 1)
     hold_equal(read(run.bag), run.heard)
     with Bag(run.bag) as opened:
-        assert (opened.world, opened.legs) == (world, legs_of(world))
+        assert (opened.world, opened.legs) == (world, legs_of(world, PARAMS))
         assert opened.namespace == namespace
         assert opened.params == PARAMS
-        assert opened.card is not None
-        assert opened.card.plan(1, None) == run.plan
+        assert opened.run_metadata is not None
+        assert opened.run_metadata.config(1, None) == run.config
         assert opened.table is not None
-        assert opened.table.sha256() == opened.card.start_table_sha256
+        assert opened.table.sha256() == opened.run_metadata.start_table_sha256
         assert opened.messages(topics.PHASE) == len(run.heard)
         assert opened.start_ns == 0
         assert [raw.ns for raw in opened.raw()][-1] == (len(run.heard) - 1) * TICK_NS
@@ -710,12 +700,12 @@ def test_a_bag_can_be_read_again_and_again(walked: Run) -> None:
 
 def test_a_start_table_that_was_learnt_before_comes_back(tmp_path: Path) -> None:
     """All values and visits of it."""
-    plan = Plan("trainer", 1, params=PARAMS)
+    config = RunConfig("trainer", 1, params=PARAMS)
     table = empty_table(PARAMS)
     table.values[:] = [math.sin(n) for n in range(len(table))]
     table.visits[:] = range(len(table))
-    writer = BagWriter(BagOptions(tmp_path / "bag"))
-    Recording(writer, Card.of_plan(plan, table, {}), table).finish()
+    writer = McapWriter(BagOptions(tmp_path / "bag"))
+    RunWriter(writer, RunMetadata.of_config(config, table, {}), table).finish()
     writer.close()
     run = record(tmp_path / "run", 3, world="trainer")
     head = [raw for raw in heads_of(tmp_path / "bag") if "/run/" in raw.topic]
@@ -748,11 +738,11 @@ def test_commands_that_nobody_gave_are_none(tmp_path: Path) -> None:
         )
         for tick in run.heard
     ]
-    writer = BagWriter(BagOptions(tmp_path / "again"))
+    writer = McapWriter(BagOptions(tmp_path / "again"))
     table = empty_table(PARAMS)
-    recording = Recording(writer, Card.of_plan(run.plan, table, {}), table)
+    recording = RunWriter(writer, RunMetadata.of_config(run.config, table, {}), table)
     for tick, whole in zip(heard, run.heard, strict=True):
-        recording.tick(tick.phase, senses_of(whole), tick.commands, tick.body, tick.transitions)
+        recording.tick(tick.beat, senses_of(whole), tick.commands, tick.body, tick.transitions)
     recording.finish()
     writer.close()
     hold_equal(read(tmp_path / "again"), heard)
@@ -769,6 +759,7 @@ def test_raw_messages_are_all_there_in_the_order_of_their_times(walked: Run) -> 
         assert list(opened.raw(start)) == [raw for raw in every if raw.ns >= start]
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(
     spread=st.sampled_from([0.0, 0.9, 5.0, 40.0, LATE - 2.0]),
@@ -796,7 +787,7 @@ def test_order_and_log_times_do_not_matter(
     folder = tmp_path_factory.mktemp("others") / "bag"
     hold_equal(read(write_as_others_do(folder, shuffled, storage)), walked.heard)
     with Bag(folder) as opened:
-        assert opened.card is None
+        assert opened.run_metadata is None
         assert opened.table is None
         assert opened.params == Params()
         assert opened.table_sha256 is None
@@ -1026,7 +1017,7 @@ def test_a_stamp_that_names_another_tick_is_found(
     tick, topic = 140 if seconds < 0 else 30, f"/leg/{part}"
     ns = tick * TICK_NS + seconds * 10**9
     _, data = longer.messages[topic, tick]
-    changed = data[:4] + wire.pack_clock(ns)[4:12] + data[12:]
+    changed = data[:4] + cdr.pack_clock(ns)[4:12] + data[12:]
     both = (longer.messages[f"/leg/{each}", tick][1] for each in ("joint_states", "contact"))
     file = longer.change({(topic, tick): changed})
     hold_found(file, topic, tick, "leg", crc_of(*both), ns // TICK_NS)
@@ -1057,10 +1048,10 @@ def test_an_error_in_a_bag_of_others_names_the_tick(messages: list[Raw], tmp_pat
     [
         b"",
         b"\0\1\0\0",
-        wire.pack_array("I", ("tick",), (4,), bytes(16)),
-        wire.pack_array("I", ("tick", "leg"), (2, 2), bytes(16)),
-        wire.pack_array("I", ("tick", "leg"), (16, 3), bytes(200), offset=2),
-        wire.pack_array("I", ("tick", "leg", "bit"), (16, 4, 1), bytes(264), offset=2),
+        cdr.pack_array("I", ("tick",), (4,), bytes(16)),
+        cdr.pack_array("I", ("tick", "leg"), (2, 2), bytes(16)),
+        cdr.pack_array("I", ("tick", "leg"), (16, 3), bytes(200), offset=2),
+        cdr.pack_array("I", ("tick", "leg", "bit"), (16, 4, 1), bytes(264), offset=2),
     ],
     ids=["nothing", "no array", "one dimension", "no first tick", "three legs", "more dimensions"],
 )
@@ -1169,8 +1160,8 @@ def _elsewhere(raw: Raw) -> Raw | None:
 def _later_card(raw: Raw) -> Raw:
     if raw.topic != "/run/card":
         return raw
-    content = {**json.loads(wire.read_text(raw.data, "")), "format": 2}
-    return raw._replace(data=wire.pack_text(json.dumps(content)))
+    content = {**json.loads(cdr.read_text(raw.data, "")), "format": 2}
+    return raw._replace(data=cdr.pack_text(json.dumps(content)))
 
 
 def _broken_card(raw: Raw) -> Raw:
@@ -1186,7 +1177,7 @@ def _bit_of(topic: str) -> Callable[[Raw], Raw]:
 
 
 def _short_table(raw: Raw) -> Raw:
-    data = wire.pack_array("d", ("state", "action"), (2, 2), bytes(32))
+    data = cdr.pack_array("d", ("state", "action"), (2, 2), bytes(32))
     return raw._replace(data=data) if raw.topic == "/run/values" else raw
 
 
@@ -1218,7 +1209,7 @@ BAD: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         _rewritten(_elsewhere),
         ("no robot", "/front_left/joint_states", "/cpg/phase", "/chatter"),
     ),
-    "no phase": (_without("/cpg/phase"), ("no /cpg/phase (std_msgs/msg/Float64)", "--bag")),
+    "no phase": (_without("/cpg/phase"), (f"no /cpg/phase ({JOINTS})", "--bag")),
     "no command": (
         _without("/rear_left/command"),
         (f"no /rear_left/command ({JOINTS})", "recorder_node"),
@@ -1230,7 +1221,7 @@ BAD: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "no contact": (_without("/front_left/contact"), (f"no /front_left/contact ({JOINTS})",)),
     "a phase of another type": (
         _of_type("/cpg/phase", "std_msgs/msg/Float32"),
-        ("/cpg/phase is of type std_msgs/msg/Float32", "std_msgs/msg/Float64 would be right"),
+        ("/cpg/phase is of type std_msgs/msg/Float32", f"{JOINTS} would be right"),
     ),
     "senses of another type": (
         _of_type("/rear_right/contact", "std_msgs/msg/Float64"),
@@ -1320,7 +1311,7 @@ def test_metadata_of_another_form_are_refused(bag: Path, changes: dict[str, Any]
     _information(**changes)(bag)
     with contextlib.suppress(BagError), Bag(bag) as opened:
         assert opened.table_sha256 is None
-        look.info(opened)
+        inspection.info(opened)
 
 
 def test_counts_that_are_no_numbers_are_refused(bag: Path) -> None:
@@ -1329,7 +1320,7 @@ def test_counts_that_are_no_numbers_are_refused(bag: Path) -> None:
     content[INFORMATION]["topics_with_message_count"][0]["message_count"] = "many"
     (bag / METADATA).write_text(yaml.safe_dump(content))
     with pytest.raises(BagError, match="damaged"), Bag(bag) as opened:
-        look.info(opened)
+        inspection.info(opened)
 
 
 # -- more than one -------------------------------------------------------------------------------
@@ -1337,7 +1328,7 @@ def test_counts_that_are_no_numbers_are_refused(bag: Path) -> None:
 
 def test_of_two_robots_one_is_chosen(tmp_path: Path) -> None:
     """Not guessed: both are named, and each is read as if it were alone."""
-    writer = BagWriter(BagOptions(tmp_path / "bag"))
+    writer = McapWriter(BagOptions(tmp_path / "bag"))
     runs = {
         name: record(tmp_path / name, 40, namespace=name, seed=seed, writer=writer)
         for seed, name in enumerate(["robot_1", "robot_2"])
@@ -1352,14 +1343,14 @@ def test_of_two_robots_one_is_chosen(tmp_path: Path) -> None:
             assert opened.namespace == name
             assert opened.robots() == ["robot_1", "robot_2"]
             assert opened.messages(topics.PHASE) == 40
-            assert opened.card is not None
-            assert opened.card.plan(1, None) == run.plan
+            assert opened.run_metadata is not None
+            assert opened.run_metadata.config(1, None) == run.config
     assert runs["robot_1"].heard != runs["robot_2"].heard
 
 
 def test_the_robot_of_no_namespace_can_be_chosen(tmp_path: Path) -> None:
     """It is called by the root: /."""
-    writer = BagWriter(BagOptions(tmp_path / "bag"))
+    writer = McapWriter(BagOptions(tmp_path / "bag"))
     first = record(tmp_path / "first", 5, writer=writer)
     record(tmp_path / "second", 5, namespace="other", seed=1, writer=writer)
     writer.close()
@@ -1400,19 +1391,11 @@ def test_one_message_of_another_time_ends_nothing(
 ) -> None:
     """What follows it is read as ever; only its own tick goes without it."""
     at = 70
-    moved = {
-        "/clock": wire.pack_clock(at * TICK_NS + seconds * 10**9),
-        "/cpg/phase": wire.pack_phase(at / TICKS + seconds / PARAMS.gait.period),
-    }
+    stamp = cdr.pack_clock(at * TICK_NS + seconds * 10**9)
     spoilt = [
         raw
         if (raw.topic, raw.ns) != (topic, at * TICK_NS)
-        else raw._replace(
-            data=moved.get(
-                topic,
-                raw.data[:4] + wire.pack_clock(at * TICK_NS + seconds * 10**9)[4:] + raw.data[12:],
-            )
-        )
+        else raw._replace(data=stamp if topic == "/clock" else stamp + raw.data[12:])
         for raw in messages
     ]
     assert spoilt != messages
@@ -1444,15 +1427,15 @@ def test_lines_are_those_that_were_written_beside_the_run(tmp_path: Path, world:
     """The same cycles.csv, but for the last tick: how that one ended is in no bag."""
     run = record(tmp_path / "bag", 5 * TICKS, world=world, falls_at=[20, 64, 65])
     with Bag(run.bag) as opened:
-        _, rows = look.info(opened)
-    modules = [*legs_of(world), BODY]
+        _, rows = inspection.info(opened)
+    modules = [*run.config.legs, BODY]
     whole = 4 * len(modules)
     hold_rows_equal(rows[:whole], run.rows[:whole])
     last = run.heard[-1]
-    recorder = Recorder(PARAMS, legs_of(world))
+    recorder = RunStatistics(PARAMS, run.config.legs)
     for tick in run.heard:
-        recorder.tick(tick.phase, senses_of(tick), tick.commands, tick.body, tick.transitions)
-    ended = [each._replace(tick=each.tick + 1, restart=True) for each in senses_of(last)]
+        recorder.tick(tick.beat, senses_of(tick), tick.commands, tick.body, tick.transitions)
+    ended = [each._replace(tick=each.tick + 1, first_tick=True) for each in senses_of(last)]
     recorder.finish(ended, last.body)
     hold_rows_equal(rows, recorder.rows)
     assert [(row.cycle, row.module) for row in rows] == [(c, m) for c in range(5) for m in modules]
@@ -1461,7 +1444,7 @@ def test_lines_are_those_that_were_written_beside_the_run(tmp_path: Path, world:
 def test_info_counts_what_is_there(walked: Run) -> None:
     """Ticks, seconds, cycles, falls, distance, messages, files, provenance: all as it was."""
     with Bag(walked.bag) as opened:
-        found, rows = look.info(opened)
+        found, rows = inspection.info(opened)
     ticks, bodies = len(walked.heard), [tick.body for tick in walked.heard]
     assert found["bag"] == str(walked.bag)
     assert (found["namespace"], found["world"]) == ("/", "walker")
@@ -1501,6 +1484,71 @@ def test_info_counts_what_is_there(walked: Run) -> None:
     json.dumps(found)
 
 
+def with_parts(messages: Sequence[Raw], bag: Path, **parts: str) -> Path:
+    """Write a bag whose card names other parts, as it was stored where these are."""
+
+    def change(raw: Raw) -> Raw:
+        if raw.topic != "/run/card":
+            return raw
+        content = json.loads(cdr.read_text(raw.data, "card"))
+        content["params"]["parts"] |= parts
+        content["params_sha256"] = digest(content["params"])
+        return raw._replace(data=cdr.pack_text(json.dumps(content)))
+
+    return write(bag, map(change, messages))
+
+
+@pytest.mark.parametrize("path", ["no_such_package.Mine", "builtins.exit", "builtins.input"])
+def test_who_looks_into_a_bag_runs_nothing_that_it_names(
+    walked: Run, messages: list[Raw], tmp_path: Path, path: str
+) -> None:
+    """Nor needs it: parts of one's own are where the robot runs, not where its bag is read."""
+    parts = dict.fromkeys(as_dict(PARAMS)["parts"], path)
+    with Bag(with_parts(messages, tmp_path / "bag", **parts)) as opened, Bag(walked.bag) as ours:
+        assert (opened.table is None) == (ours.table is None)
+        assert list(opened.ticks()) == list(ours.ticks())
+        assert inspection.info(opened)[1] == inspection.info(ours)[1]
+
+
+@pytest.mark.parametrize("path", ["no_such_package.Mine", "builtins.exit"])
+def test_who_looks_into_a_bag_runs_no_world_that_it_names(
+    walked: Run, messages: list[Raw], tmp_path: Path, path: str
+) -> None:
+    """Which legs there are is in the card."""
+
+    def change(raw: Raw) -> Raw:
+        if raw.topic != "/run/card":
+            return raw
+        content = json.loads(cdr.read_text(raw.data, "card")) | {"world": path}
+        return raw._replace(data=cdr.pack_text(json.dumps(content)))
+
+    folder = write(tmp_path / "bag", map(change, messages))
+    with Bag(folder) as opened, Bag(walked.bag) as ours:
+        assert (opened.world, opened.legs, opened.stage) == (path, ours.legs, ours.stage)
+        assert list(opened.ticks()) == list(ours.ticks())
+
+
+@pytest.mark.parametrize(
+    ("path", "says"),
+    [
+        ("no_such_package.Mine", "there is no module 'no_such_package'"),
+        ("builtins.print", "makes a NoneType without shape"),
+        ("math.pi", "is no class"),
+        ("math.Mine", "cannot be used"),
+    ],
+)
+def test_a_replay_says_which_part_is_not_here(
+    messages: list[Raw], tmp_path: Path, path: str, says: str
+) -> None:
+    """In one line with its name, as wherever a robot is put together."""
+    folder = with_parts(messages, tmp_path / "bag", discretizer=path)
+    with (
+        Bag(folder) as opened,
+        pytest.raises(ParameterError, match=rf"^parts\.discretizer = '{path}'.*{says}"),
+    ):
+        replay(opened)
+
+
 def test_info_counts_what_is_not_there(messages: list[Raw], tmp_path: Path) -> None:
     """Gaps, lost ticks, senses and commands that are missing: each in its place."""
     gone = {10, 11, 12, 70}
@@ -1516,7 +1564,7 @@ def test_info_counts_what_is_not_there(messages: list[Raw], tmp_path: Path) -> N
         or (raw.ns // TICK_NS not in gone and (raw.topic, raw.ns // TICK_NS) not in lost)
     ]
     with Bag(write(tmp_path / "bag", left)) as opened:
-        found, _ = look.info(opened)
+        found, _ = inspection.info(opened)
     assert found["ticks"] == 3 * TICKS + 16 - len(gone)
     assert found["lost_ticks"] == len(gone)
     assert found["gaps"] == [(10, 12), (70, 70)]
@@ -1539,7 +1587,7 @@ def test_a_cycle_whose_first_tick_is_lost_is_a_cycle(
         if raw.ns != 2 * TICKS * TICK_NS or (lost == "senses" and raw.topic != "/rear_left/contact")
     ]
     with Bag(write(tmp_path / "bag", left)) as opened:
-        _, rows = look.info(opened)
+        _, rows = inspection.info(opened)
     assert [row.cycle for row in rows if row.module == BODY] == [0, 1, 2, 3]
 
 
@@ -1551,7 +1599,7 @@ def test_a_bag_of_others_is_looked_into_as_well(
         tmp_path / "bag", [raw._replace(ns=NOON + raw.ns) for raw in messages], "sqlite3"
     )
     with Bag(others) as opened, Bag(walked.bag) as ours:
-        (found, rows), (_, expected) = look.info(opened), look.info(ours)
+        (found, rows), (_, expected) = inspection.info(opened), inspection.info(ours)
     assert rows == expected
     assert "card" not in found
     assert found["storage"] == "sqlite3"
@@ -1562,13 +1610,21 @@ def test_a_bag_without_a_tick_is_a_bag(tmp_path: Path) -> None:
     """A run of no cycles leaves one: nothing is in it, and that is said."""
     run = record(tmp_path / "bag", 0)
     with Bag(run.bag) as opened:
-        found, rows = look.info(opened)
+        found, rows = inspection.info(opened)
     assert (found["ticks"], found["first_tick"], found["falls"]) == (0, None, 0)
     assert (found["distance_m"], found["reward"]) == (0, None)
     assert rows == []
 
 
 # -- as CSV --------------------------------------------------------------------------------------
+
+
+STANCE = int(PARAMS.gait.stance_share * TICKS)
+OFFSETS = {
+    leg: int(offset * TICKS)
+    for leg, offset in zip(PARAMS.robot.legs, PARAMS.robot.offset, strict=True)
+}
+"""Of each leg's phase, ticks."""
 
 
 def lines_of(file: Path) -> list[dict[str, str]]:
@@ -1579,15 +1635,14 @@ def lines_of(file: Path) -> list[dict[str, str]]:
 
 def hold_line(line: dict[str, str], run: Run, tick: Tick, after: Tick | None, leg: str) -> None:
     """Hold that a line says what was heard, to the bit."""
-    n = run.plan.legs.index(leg)
+    n = run.config.legs.index(leg)
     sense, command = tick.senses[n], tick.commands[n]
-    gait = LegGait(PARAMS.gait, leg)
-    stance = gait.stance(tick.phase)
-    paid = gait.rewarded_as_stance(tick.phase, PARAMS.reward.lead)
+    at = (tick.tick + (0 if leg == TRAINER_LEG else OFFSETS[leg])) % TICKS
+    stance = at < STANCE
+    paid = stance or TICKS - at <= PARAMS.reward.lead
     assert int(line["tick"]) == tick.tick
     assert float(line["time_s"]) == tick.tick * PARAMS.gait.tick_s
-    assert float(line["phase"]) == tick.phase
-    assert int(line["stance"]) == stance
+    assert float(line["phase"]) == tick.tick / TICKS
     for name in LegSense._fields[1:]:
         if sense is None:
             assert line[name] == ""
@@ -1597,16 +1652,21 @@ def hold_line(line: dict[str, str], run: Run, tick: Tick, after: Tick | None, le
     for name in LegCommand._fields[1:]:
         said = line[f"command_{name}"]
         assert said == "" if command is None else repr(float(said)) == repr(getattr(command, name))
-    speeds, rewarder = PARAMS.leg.knee_speeds, Rewarder(PARAMS)
+    if tick.transitions[n] is None:
+        assert line["stance"] == line["state"] == ""
+    else:
+        assert int(line["stance"]) == stance
+        if sense is not None:
+            assert line["state"] == str(PaperDiscretizer(PARAMS).index(sense, stance))
+    speeds, rewarder = PARAMS.leg.knee_speeds, PaperReward(PARAMS)
     did = None if after is None else after.transitions[n]
     if after is None or did is None or not did.credited:
-        assert line["state"] == line["action"] == line["reward"] == ""
+        assert line["action"] == line["reward"] == line["td_error"] == ""
         assert {line[f"reward_{name}"] for name in rewarder.names} == {""}
     else:
-        if sense is not None:
-            assert line["state"] == str(Partition(PARAMS).index(sense, stance))
         if command is not None:
             assert line["action"] == str(speeds.index(command.knee_speed))
+        assert repr(float(line["td_error"])) == repr(did.td_error)
         then = after.senses[n]
         if then is not None:
             terms = dict.fromkeys(rewarder.names, 0.0) | rewarder.terms(then, paid)
@@ -1625,24 +1685,25 @@ def test_a_line_a_tick_and_leg(tmp_path: Path, world: str) -> None:
     """Every sense and command equal bit for bit when parsed, state, action and reward as learnt."""
     run = record(tmp_path / "bag", TICKS + 9, world=world, falls_at=[20])
     with Bag(run.bag) as opened:
-        files = look.write_csv(opened, tmp_path / "deep" / "csv")
+        files = inspection.write_csv(opened, tmp_path / "deep" / "csv")
     with Bag(run.bag) as opened:
-        _, rows = look.info(opened)
+        _, rows = inspection.info(opened)
     assert files == [tmp_path / "deep/csv" / name for name in ("cycles.csv", "ticks.csv")]
     lines = lines_of(files[1])
-    terms = (f"reward_{name}" for name in Rewarder.names)
-    assert tuple(lines[0]) == (*look.TICK_COLUMNS, *terms)
-    assert len(lines) == len(run.heard) * len(run.plan.legs)
+    terms = (f"reward_{name}" for name in PaperReward.names)
+    assert tuple(lines[0]) == (*inspection.TICK_COLUMNS, *terms)
+    assert len(lines) == len(run.heard) * len(run.config.legs)
     rest = iter(lines)
     for tick, after in zip(run.heard, [*run.heard[1:], None], strict=True):
-        for leg, line in zip(run.plan.legs, rest, strict=False):
+        for leg, line in zip(run.config.legs, rest, strict=False):
             assert line["leg"] == leg
             hold_line(line, run, tick, after, leg)
+    assert len({line["td_error"] for line in lines}) > TICKS // 2  # not one number for all
     with files[0].open(newline="") as file:
         cells = list(csv.reader(file))
     assert tuple(cells[0]) == Row._fields
     assert cells[1:] == [["" if value is None else str(value) for value in row] for row in rows]
-    assert len(rows) == 2 * (len(run.plan.legs) + 1)
+    assert len(rows) == 2 * (len(run.config.legs) + 1)
 
 
 def test_what_is_missing_is_empty_in_its_line(
@@ -1658,7 +1719,7 @@ def test_what_is_missing_is_empty_in_its_line(
         and (raw.ns != 22 * TICK_NS)
     ]
     with Bag(write(tmp_path / "bag", left)) as opened:
-        files = look.write_csv(opened, tmp_path / "csv")
+        files = inspection.write_csv(opened, tmp_path / "csv")
     heard = {tick.tick: tick for tick in walked.heard if tick.tick != 22}
     heard[5] = heard[5]._replace(senses=(*heard[5].senses[:2], None, heard[5].senses[3]))
     heard[8] = heard[8]._replace(commands=(None, *heard[8].commands[1:]))
@@ -1681,7 +1742,7 @@ def test_csv_files_are_never_written_over(walked: Run, tmp_path: Path, there: li
     for name in there:
         (tmp_path / name).write_text("mine")
     with Bag(walked.bag) as opened, pytest.raises(BagError, match="is there already") as refused:
-        look.write_csv(opened, tmp_path)
+        inspection.write_csv(opened, tmp_path)
     assert "--out" in str(refused.value)
     assert {file.name: file.read_text() for file in tmp_path.iterdir()} == dict.fromkeys(
         there, "mine"
@@ -1693,7 +1754,7 @@ def test_a_damaged_bag_leaves_no_half_csv(database: Database, tmp_path: Path) ->
     _, data = database.messages["/rear_left/command", 20]
     file = database.change({("/rear_left/command", 20): data[:-8] + b"\xff" * 8})
     with Bag(file) as opened, pytest.raises(BagError, match="/rear_left/command"):
-        look.write_csv(opened, tmp_path / "csv")
+        inspection.write_csv(opened, tmp_path / "csv")
     assert not list((tmp_path / "csv").glob("*"))
 
 
@@ -1701,6 +1762,6 @@ def test_a_folder_that_cannot_be_written_is_said(walked: Run, tmp_path: Path) ->
     """In words, with its name."""
     (tmp_path / "file").write_text("")
     with Bag(walked.bag) as opened, pytest.raises(BagError, match="file"):
-        look.write_csv(opened, tmp_path / "file" / "csv")
+        inspection.write_csv(opened, tmp_path / "file" / "csv")
     with Bag(walked.bag) as opened, pytest.raises(BagError, match="/proc"):
-        look.write_csv(opened, Path("/proc/ember"))
+        inspection.write_csv(opened, Path("/proc/ember"))

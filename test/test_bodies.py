@@ -7,18 +7,25 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from ember_ros.params import Params, replace
-from ember_ros.signals import LEGS, TRAINER_LEG
+from ember_ros.params import TRAINER_LEG, replace
+from ember_ros.params_file import load_params
 from sim_node.bodies import trainer_urdf, walker_urdf
+from support.legs import LEGS
 
-PARAMS = Params()
-ROBOTS = {"walker": (walker_urdf, LEGS), "trainer": (trainer_urdf, (TRAINER_LEG,))}
+PARAMS = load_params()
+HEXAPOD = load_params("hexapod")
+ROBOTS = {
+    "walker": (walker_urdf, LEGS, PARAMS),
+    "hexapod": (walker_urdf, HEXAPOD.robot.legs, HEXAPOD),
+    "trainer": (trainer_urdf, (TRAINER_LEG,), PARAMS),
+}
 robots = pytest.mark.parametrize("name", ROBOTS)
 
 
-def parse(name: str, params: Params = PARAMS) -> ET.Element:
+def parse(name: str) -> ET.Element:
     """Return a robot."""
-    return ET.fromstring(ROBOTS[name][0](params))
+    make, _, params = ROBOTS[name]
+    return ET.fromstring(make(params))
 
 
 def joint(robot: ET.Element, name: str) -> ET.Element:
@@ -60,7 +67,7 @@ def test_it_is_one_tree(name: str) -> None:
     assert len(set(links)) == len(links)
     assert len(set(children)) == len(children) == len(links) - 1
     (root,) = set(links) - set(children)
-    assert root == {"walker": "front", "trainer": "stand"}[name]
+    assert root == ("stand" if name == "trainer" else "front")
     assert set(parents) <= set(links)
     names = [each.attrib["name"] for each in robot.findall("joint")]
     assert len(set(names)) == len(names)
@@ -70,8 +77,8 @@ def test_it_is_one_tree(name: str) -> None:
 def test_the_same_parameters_give_the_same_text(name: str) -> None:
     """Nothing of the moment is in it, and another number gives another text."""
     assert ET.tostring(parse(name)) == ET.tostring(parse(name))
-    other = replace(PARAMS, {"leg.thigh_length": 0.26})
-    assert ROBOTS[name][0](other) != ROBOTS[name][0](PARAMS)
+    make, _, params = ROBOTS[name]
+    assert make(replace(params, {"leg.thigh_length": 0.26})) != make(params)
 
 
 @robots
@@ -150,9 +157,49 @@ def test_the_walker_s_legs_are_at_its_ends() -> None:
 
 def test_the_walker_twists_about_its_length() -> None:
     """One joint between the halves, along x, without an end."""
-    twist = joint(parse("walker"), "twist")
+    twist = joint(parse("walker"), "rear_twist")
     assert twist.attrib["type"] == "continuous"
     assert numbers(twist, "axis", "xyz") == [1.0, 0.0, 0.0]
+
+
+def test_the_hexapod_s_segments_hang_one_on_the_other() -> None:
+    """Three of equal mass in line, a twist joint between each two, legs where they are described.
+
+    The body ends at the front and the rear legs, and its segments fill it without a gap.
+    """
+    robot, described, walker = parse("hexapod"), HEXAPOD.robot, HEXAPOD.walker
+    for name, before in (("middle_twist", "front"), ("rear_twist", "middle")):
+        twist = joint(robot, name)
+        assert twist.attrib["type"] == "continuous"
+        assert numbers(twist, "axis", "xyz") == [1.0, 0.0, 0.0]
+        (parent,) = twist.findall("parent")
+        assert parent.attrib["link"] == before
+    middles = []
+    for segment in described.segments:
+        assert mass(robot, segment) == pytest.approx(walker.mass / 3)
+        (link,) = robot.findall(f"link[@name='{segment}']")
+        (inertial,) = link.findall("inertial")
+        middles.append(numbers(inertial, "origin", "xyz")[0])
+        (body,) = link.findall("collision/geometry/cylinder")
+        assert float(body.attrib["length"]) == pytest.approx(walker.length / 3)
+    assert middles == pytest.approx([walker.length / 3, 0.0, -walker.length / 3])
+    for each in described.legs:
+        end, hand = each.split("_")
+        x, y, _ = place(robot, f"{each}_thigh")
+        ahead = {"front": 0.5, "middle": 0.0, "rear": -0.5}[end] * walker.length
+        assert x == pytest.approx(ahead + walker.hip_forward)
+        assert y == (walker.hip_half_width if hand == "left" else -walker.hip_half_width)
+        (parent,) = joint(robot, f"{each}_hip").findall("parent")
+        assert parent.attrib["link"] == end
+
+
+def test_a_body_of_one_segment_has_no_twist() -> None:
+    """All legs on one stiff body."""
+    params = replace(PARAMS, {"robot.segments": ["front"], "robot.segment": ["front"] * 4})
+    robot = ET.fromstring(walker_urdf(params))
+    assert mass(robot, "front") == params.walker.mass
+    assert not [each for each in robot.findall("joint") if "twist" in each.attrib["name"]]
+    assert len(robot.findall("joint")) == 4 * 3
 
 
 def test_the_trainer_s_cantilever() -> None:

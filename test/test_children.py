@@ -5,22 +5,22 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import select
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from ember_ros.children import child_of, command_of
+from ember_ros.children import child_command, module_command
 from ember_ros.params import Params
 from ember_ros.run import SUMMARY, TABLE
 from leg_node.table_file import load_table
+from support.command import EMBER, child, started
+from support.waiting import DEADLINE_S, until
 
-EMBER = [sys.executable, "-m", "ember_ros"]
-DEADLINE_S = 60.0
 FOREVER = "1000000"
 HARD_OF_HEARING = """
 import signal, sys
@@ -31,14 +31,6 @@ signal.signal(signal.SIGINT, lambda *_: sys.exit(7))
 while True:
     signal.pause()
 """
-
-
-def until(condition: Callable[[], object], what: str) -> None:
-    """Wait until a condition holds."""
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, f"did not come true: {what}"
-        time.sleep(0.01)
 
 
 def named(folder: Path) -> list[int]:
@@ -67,11 +59,9 @@ def hostile(tmp_path: Path) -> Path:
 
 def test_a_process_imports_nothing_of_the_working_directory(hostile: Path) -> None:
     """Neither for Python's own modules nor for ours; arguments reach it."""
-    command = [*command_of("ember_ros.bag.scribe"), '["bag", 0.0, 0.0]']
+    command = [*module_command("ember_ros.bag.writer_process"), '["bag", 0.0, 0.0]']
     (hostile / "bag").mkdir()
-    done = subprocess.run(
-        command, cwd=hostile, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
-    )
+    done = child(command, cwd=hostile, env={**os.environ})
     assert (done.returncode, done.stdout, done.stderr) == (0, "ready\n", "")
     assert (hostile / "bag" / "metadata.yaml").is_file()
 
@@ -87,9 +77,7 @@ def test_workers_import_nothing_of_the_working_directory(hostile: Path) -> None:
         "    with lab.workers() as (pool, _):\n"
         "        print(pool.submit(lab.cost, lab.Trial('walker', 2, 0)).result())\n"
     )
-    done = subprocess.run(
-        [sys.executable, "program/run.py"], cwd=hostile, capture_output=True, text=True, check=False
-    )
+    done = child([sys.executable, "program/run.py"], cwd=hostile, env={**os.environ})
     assert (done.returncode, done.stdout, done.stderr) == (0, "6\n", "")
 
 
@@ -100,23 +88,18 @@ def test_a_child_ends_when_its_input_does(tmp_path: Path) -> None:
     """A signal that is sent while nobody listens yet is sent again."""
     (tmp_path / "hard_of_hearing.py").write_text(HARD_OF_HEARING)
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-    with subprocess.Popen(
-        child_of("hard_of_hearing"),
+    with started(
+        child_command("hard_of_hearing"),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=environment,
-    ) as child:
-        assert child.stdout is not None
-        assert child.stdout.readline() == b"deaf\n"
-        assert child.stdin is not None
-        child.stdin.close()
-        assert child.wait(DEADLINE_S) == 7
-
-
-@pytest.fixture
-def domain(monkeypatch: pytest.MonkeyPatch, free_domain: int) -> None:
-    """Run every graph in a domain of its own."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain))
+    ) as deaf:
+        assert deaf.stdout is not None
+        assert select.select([deaf.stdout], [], [], DEADLINE_S)[0], "it does not start"
+        assert deaf.stdout.readline() == b"deaf\n"
+        assert deaf.stdin is not None
+        deaf.stdin.close()
+        assert deaf.wait(DEADLINE_S) == 7
 
 
 @pytest.fixture
@@ -138,12 +121,11 @@ def walking(out: Path) -> bool:
     return record.exists() and record.stat().st_size > 400
 
 
-@pytest.mark.usefixtures("domain")
+@pytest.mark.ros
 def test_nodes_end_with_the_process_that_started_them(out: Path) -> None:
     """``kill -9`` of ``ember`` leaves nobody behind, and what was learnt in the table's file."""
-    pytest.importorskip("rclpy")
     command = [*EMBER, "walk", "--cycles", FOREVER, "--on", "processes", "--out", str(out)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as ember:
+    with started(command, stdout=subprocess.DEVNULL) as ember:
         until(lambda: walking(out) or ember.poll() is not None, "it walks")
         assert len(named(out)) > 4
         ember.kill()
@@ -151,19 +133,15 @@ def test_nodes_end_with_the_process_that_started_them(out: Path) -> None:
     assert saved(out)
 
 
-@pytest.mark.usefixtures("domain")
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["loop", "graph", "processes"])
 def test_a_closed_terminal_ends_a_run_as_ctrl_c_does(out: Path, way: str) -> None:
     """The kernel sends SIGHUP, and nothing can be written any more: saved, 130, nobody left."""
-    if way != "loop":
-        pytest.importorskip("rclpy")
     ours, terminal = pty.openpty()
     command = [*EMBER, "walk", "--cycles", FOREVER, "--on", way, "--out", str(out)]
     # A session of its own, whose terminal this is: setsid, and the first terminal that is opened.
     opened = f"exec setsid -c {' '.join(command)}"
-    with subprocess.Popen(
-        ["sh", "-c", opened], stdin=terminal, stdout=terminal, stderr=terminal
-    ) as ember:
+    with started(["sh", "-c", opened], stdin=terminal, stdout=terminal, stderr=terminal) as ember:
         os.close(terminal)
         os.set_blocking(ours, False)
 
@@ -180,10 +158,11 @@ def test_a_closed_terminal_ends_a_run_as_ctrl_c_does(out: Path, way: str) -> Non
     until(lambda: not named(out), "all have ended")
 
 
+@pytest.mark.slow
 def test_a_run_below_nohup_goes_on(out: Path) -> None:
     """A SIGHUP that was ignored from the start is none."""
     command = ["nohup", *EMBER, "walk", "--cycles", "40", "--on", "loop", "--out", str(out)]
-    with subprocess.Popen(
+    with started(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     ) as ember:
         until(lambda: walking(out) or ember.poll() is not None, "it walks")

@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -19,39 +20,26 @@ import pytest
 import yaml
 
 from ember_ros import terminal
-from ember_ros.cli import main
+from ember_ros.cli.ember import COMMANDS
+from ember_ros.name_lock import lock_robot
 from ember_ros.params import Params
 from ember_ros.params_file import dump_params, load_params
-from ember_ros.report.recorder import Row, load_record
+from ember_ros.report.run_statistics import Row, load_record
 from ember_ros.run import EARLIER, SUMMARY, TABLE
-from ember_ros.seat import run_seat
 from ember_ros.spinning import Stop
 from leg_node.table_file import load_table
+from support.command import EMBER, child, ember, environment, nobody_reads, started
+from support.waiting import DEADLINE_S, until
 
 pytest.importorskip("pybullet", reason="every command here builds a world")
 
 Run = Callable[..., str]
-ROOT = Path(__file__).parents[1]
 
 SUMMARY_KEYS = {
     "command", "seed", "cycles", "falls", "first_fall", "distance_per_cycle_m", "roll_sd_rad",
     "pitch_sd_rad", "table_sha256", "commands_sha256", "senses_sha256", "wall_s", "ticks_per_s",
     "versions", "provenance", "planned_cycles",
 }  # fmt: skip
-
-
-def ember(*words: Any) -> int:
-    """Run the command in this process and return its exit code."""
-    with pytest.raises(SystemExit) as end:
-        main.main([str(word) for word in words], prog_name="ember")
-    assert isinstance(end.value.code, int)
-    return end.value.code
-
-
-@pytest.fixture(autouse=True)
-def domain(monkeypatch: pytest.MonkeyPatch, free_domain: int) -> None:
-    """Run every graph in a domain of its own."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain))
 
 
 @pytest.fixture
@@ -88,7 +76,34 @@ def test_help_tells_what_each_option_does(run: Run, verb: str) -> None:
         assert "default: out/" in words
 
 
-@pytest.mark.parametrize("way", ["loop", "graph", "processes"])
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_list_says_of_a_command_what_its_own_help_says_first(run: Run, name: str) -> None:
+    """The list imports no command: what it says stands in a table, and each command says it too."""
+    listed = " ".join(run("--help").split())
+    assert f" {name} {COMMANDS[name].help}" in listed
+    own = run(name, "--help").split("\n\n")[1]
+    assert " ".join(own.split()) == COMMANDS[name].help
+
+
+def test_ctrl_c_before_a_command_listens_is_one_of_a_command(run: Run) -> None:
+    """While what it needs is imported as well: the code of Ctrl-C, and no traceback."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "ember_ros.cli.params", Interrupts("params"))
+        assert run("params", code=130).strip() == ""
+
+
+class Interrupts(ModuleType):
+    """A module that Ctrl-C finds at its beginning."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.endswith("_command"):
+            raise KeyboardInterrupt
+        raise AttributeError(name)
+
+
+@pytest.mark.parametrize(
+    "way", ["loop", "graph", pytest.param("processes", marks=pytest.mark.slow)]
+)
 def test_every_way_leaves_the_same_files(run: Run, table: Path, way: str) -> None:
     """Table, lines a cycle, summary and picture, whichever way it ran."""
     run("walk", "--cycles", 3, "--seed", 2, "--on", way, "--table", table, "--out", "o")
@@ -177,7 +192,7 @@ def test_ctrl_c_before_the_first_cycle_replaces_nothing(
     """It says that the earlier run is as it was, with the code of Ctrl-C."""
     run("train", "--cycles", 1)
     before = Path("out/train", SUMMARY).read_text()
-    monkeypatch.setattr(Stop, "__init__", Stop.ask)
+    monkeypatch.setattr(Stop, "__init__", Stop.request)
     assert "is as it was" in run("train", "--cycles", 2, "--force", code=130)
     assert Path("out/train", SUMMARY).read_text() == before
 
@@ -186,7 +201,7 @@ def test_ctrl_c_before_the_first_cycle_replaces_nothing(
 def test_no_name_is_no_folder(run: Run, verb: str) -> None:
     """``--out "$UNSET"`` would fill the folder one is in."""
     words = [verb, "fig5"] if verb == "experiment" else [verb]
-    assert "'' names no folder" in run(*words, "--out", "", code=2)
+    assert "'' is not a folder" in run(*words, "--out", "", code=2)
     assert list(Path().iterdir()) == []
 
 
@@ -209,14 +224,14 @@ def test_progress_is_a_line_now_and_then_without_a_terminal(
     run: Run, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """On standard error, so that output can be piped on; and no line too often."""
-    monkeypatch.setattr(terminal, "SAY_S", 0.0)
+    monkeypatch.setattr(terminal, "LINE_PERIOD_S", 0.0)
     capfd.readouterr()
     assert ember("train", "--cycles", 3) == 0
     output, aside = capfd.readouterr()
     lines = [f"training (loop): {n}/3 cycles, 0 falls" for n in (0, 1, 2, 3)]
     assert aside.splitlines() == lines
     assert "training (loop)" not in output
-    monkeypatch.setattr(terminal, "SAY_S", 1000.0)
+    monkeypatch.setattr(terminal, "LINE_PERIOD_S", 1000.0)
     assert ember("train", "--cycles", 3, "--force") == 0
     assert capfd.readouterr().err == ""
 
@@ -225,32 +240,24 @@ def test_a_path_that_standard_output_has_no_letters_for_is_spelt_out(tmp_path: P
     """A run that is whole does not end with a traceback for its name."""
     out = tmp_path / "\u00fcber \udce9"  # not even UTF-8
     done = subprocess.run(
-        [sys.executable, "-m", "ember_ros", "train", "--cycles", "1", "--out", out],
+        [*EMBER, "train", "--cycles", "1", "--out", out],
         capture_output=True,
-        env={**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONPATH": str(ROOT)},
+        env=environment(PYTHONIOENCODING="ascii"),
         check=False,
-        timeout=60.0,
+        timeout=DEADLINE_S,
     )
     assert (done.returncode, done.stderr) == (0, b"")
     assert b"\\xfcber \\udce9" in done.stdout
     assert (out / TABLE).exists()
 
 
+@pytest.mark.slow
 def test_who_hears_only_the_first_line_ends_nothing(tmp_path: Path) -> None:
     """``ember params | head -1``: no traceback."""
     for words in (("params", "--describe"), ("train", "--cycles", "1", "--out", tmp_path / "run")):
-        command = subprocess.Popen(
-            [sys.executable, "-m", "ember_ros", *words],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-        )
-        assert command.stdout is not None
-        command.stdout.close()
-        assert command.stderr is not None
-        with command.stderr as errors:
-            assert b"Traceback" not in errors.read()
-        command.wait(60.0)
+        with nobody_reads() as pipe:
+            done = child([*EMBER, *words], stdout=pipe)
+        assert "Traceback" not in done.stderr
     assert (tmp_path / "run" / SUMMARY).exists()
 
 
@@ -296,7 +303,7 @@ def test_a_bad_table_is_said_before_anything_starts(
         ("/**: {ros__parameters: [1]}", "would be right"),
         ("/**: {ros__parameters: {walk: {gamma: .nan}}}", "out of range"),
         ("walker: {length: 2.0}", "would be right"),
-        ("/**: {ros__parameters: {", "is no YAML"),
+        ("/**: {ros__parameters: {", "not YAML"),
         ("", "would be right"),
     ],
 )
@@ -313,6 +320,8 @@ def test_a_bad_parameter_file_is_said_in_one_line(run: Run, content: str, says: 
     ("words", "says"),
     [
         (("--cycles", -1), "cycles = -1 must be 0 or more"),
+        (("--bag", "b", "--split-s", "nan"), "'nan' is not a finite number"),
+        (("--bag", "b", "--split-mb", "inf"), "'inf' is not a finite number"),
         (("--seed", -1), "seed = -1: 0 to 9223372036854775807 would be right"),
         (("--params", "none.yaml"), "none.yaml"),
         (("--out", "/proc/ember"), "/proc/ember"),
@@ -327,6 +336,7 @@ def test_a_bad_option_is_said(run: Run, words: tuple[Any, ...], says: str) -> No
     assert "Traceback" not in output
 
 
+@pytest.mark.ros
 def test_no_cycles_are_a_run_as_well(run: Run) -> None:
     """Nothing is done, everything is written, on the graph too."""
     for way in ("loop", "graph"):
@@ -358,6 +368,8 @@ def test_set_goes_with_the_files_not_with_the_defaults(run: Run) -> None:
     assert output.count("\n") == 1
 
 
+@pytest.mark.slow
+@pytest.mark.ros
 def test_demo_trains_walks_and_draws(run: Run) -> None:
     """Both runs and a picture of both; a second demo replaces the first where it may."""
     for force in ([], ["--force"]):
@@ -371,37 +383,41 @@ def test_demo_trains_walks_and_draws(run: Run) -> None:
     assert Path("out/demo/demo.png").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["graph", "processes"])
 def test_a_run_lives_beside_another_in_a_namespace_of_its_own(
     run: Run, free_domain: int, way: str
 ) -> None:
     """In the same one it is refused, says how to live beside it, and ends with 2."""
     walk = ("walk", "--cycles", 2, "--on", way)
-    seat = run_seat(free_domain, "")
+    lock = lock_robot(free_domain, "")
     output = run(*walk, "--out", "a", code=2)
     assert f"error: / as a whole is taken by /sim_node (process {os.getpid()})" in output
     assert not Path("a", SUMMARY).exists()
     run(*walk, "--out", "a", "--namespace", "/lab/robot_2")
-    seat.leave()
+    lock.release()
     run(*walk, "--out", "b")
     a, b = (json.loads(Path(each, SUMMARY).read_text())["senses_sha256"] for each in "ab")
     assert a == b
 
 
+@pytest.mark.slow
 def test_a_namespace_is_of_the_demo_and_of_a_replay_too(run: Run, free_domain: int) -> None:
     """Beside a robot at the root; a bag's only robot is replayed in whichever is asked for."""
-    seat = run_seat(free_domain, "")
+    lock = lock_robot(free_domain, "")
     robot = ("--namespace", "robot_2")
     run("demo", "--cycles", 5, "--walk-cycles", 2, code=2)
     run("demo", "--cycles", 5, "--walk-cycles", 2, "--force", *robot)
     run("walk", "--cycles", 2, "--on", "loop", "--bag", "bag", "--out", "o")
     run("replay", "bag", "--on", "graph", code=2)
     assert "Equal, bit for bit" in run("replay", "bag", "--on", "graph", *robot)
-    seat.leave()
-    assert "'2' is no namespace" in run("walk", "--namespace", "2", code=2)
+    lock.release()
+    assert "'2' is not a namespace" in run("walk", "--namespace", "2", code=2)
     assert "no robot in robot_2" in run("replay", "bag", *robot, code=2)
 
 
+@pytest.mark.slow
+@pytest.mark.ros
 def test_a_bag_of_the_loop_has_the_namespace_too(run: Run) -> None:
     """However a run was run, its bag has the same bytes."""
     for way in ("loop", "graph"):
@@ -412,24 +428,29 @@ def test_a_bag_of_the_loop_has_the_namespace_too(run: Run) -> None:
     run("replay", "bag_loop", "--namespace", "robot_2")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["loop", "graph", "processes"])
 def test_ctrl_c_saves_what_was_learnt(tmp_path: Path, way: str) -> None:
     """SIGINT in the middle: exit code 130, a whole table that holds what was learnt."""
-    command = [sys.executable, "-m", "ember_ros", "walk", "--cycles", "1000000", "--on", way]
-    with subprocess.Popen([*command, "--out", "o"], cwd=tmp_path, stdout=subprocess.PIPE) as child:
-        record = tmp_path / "o" / "cycles.csv"
-        while child.poll() is None and not (record.exists() and record.stat().st_size > 400):
-            pass
-        child.send_signal(signal.SIGINT)
-        output = child.communicate(timeout=60)[0].decode()
-    assert child.returncode == 130, output
-    assert "what was learnt is in o/table.npz" in output
+    command = [*EMBER, "walk", "--cycles", "1000000", "--on", way, "--out", "o"]
+    record = tmp_path / "o" / "cycles.csv"
+    with started(command, cwd=tmp_path, stdout=subprocess.PIPE) as walk:
+        until(
+            lambda: walk.poll() is not None or (record.exists() and record.stat().st_size > 400),
+            "it walks",
+        )
+        walk.send_signal(signal.SIGINT)
+        output = walk.communicate(timeout=DEADLINE_S)[0].decode()
+    assert walk.returncode == 130, output
+    assert "the table is in o/table.npz" in output
     summary = json.loads((tmp_path / "o" / SUMMARY).read_text())
     assert not summary["complete"]
     assert summary["cycles"] >= 1
     assert load_table(tmp_path / "o" / TABLE, Params())[0].visits.sum() > 100
 
 
+@pytest.mark.slow
+@pytest.mark.ros
 def test_bench_measures_every_way(run: Run) -> None:
     """A small one: every figure is there and positive; none is judged."""
     run("bench", "--cycles", 4, "--repeats", 1, "--train-cycles", 5, "--epochs", 20)

@@ -10,47 +10,35 @@ import re
 import shlex
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from importlib.util import find_spec
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 import yaml
 from click.testing import CliRunner
 
 from ember_ros import wire
-from ember_ros.bag import look
-from ember_ros.bag.card import Card
-from ember_ros.bag.reading import Bag, Raw
-from ember_ros.bag.recording import Recording
-from ember_ros.bag.storage import INFORMATION, METADATA, BagOptions, BagWriter, seal
+from ember_ros.bag import inspection
+from ember_ros.bag.reader import Bag, Raw
+from ember_ros.bag.storage import INFORMATION, METADATA, BagOptions, McapWriter, seal
 from ember_ros.cli import main
-from ember_ros.loop import Loop
 from ember_ros.params import Params, as_dict, params_sha256, replace
 from ember_ros.params_file import dump_params, load_params
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import BODY, Row
+from ember_ros.report.run_statistics import BODY, Row
 from ember_ros.run import SUMMARY, TABLE
-from ember_ros.signals import LEGS
-from leg_node.reward import Rewarder
-from leg_node.table import empty_table
+from ember_ros.run_config import RunConfig
+from leg_node.assembly import empty_table
+from leg_node.reward import PaperReward
 from leg_node.table_file import load_table, save_table
-from sim_node.fake import FakeWorld
+from support import bags
+from support.bags import Made, write
+from support.configs import TINY as PARAMS
+from support.legs import LEGS
+from support.needs import needs_bags, needs_bullet
 
-ROS = find_spec("rclpy") is not None
-SIM = find_spec("pybullet") is not None
+pytestmark = needs_bags
 
-pytestmark = pytest.mark.skipif(
-    find_spec("rosbags") is None or find_spec("mcap") is None, reason="rosbags or mcap is missing"
-)
-needs_ros = pytest.mark.skipif(not ROS, reason="rclpy is missing")
-needs_bullet = pytest.mark.skipif(not SIM, reason="pybullet is missing")
-
-PARAMS = replace(
-    Params(),
-    {"state.hip_bins": 3, "state.force_edges": [0.5], "state.inclination_edges": [-0.5]},
-)
 TICKS, TICK_NS = PARAMS.gait.ticks, PARAMS.gait.tick_ns
 CYCLES = 2
 
@@ -97,66 +85,24 @@ def words_of(text: str) -> str:
 # -- bags ----------------------------------------------------------------------------------------
 
 
-class Made(NamedTuple):
-    """A run that was recorded."""
-
-    bag: Path
-    plan: Plan
-    table: str
-    """SHA-256 at the end."""
-
-
 def record(
     bag: Path,
     *,
     cycles: int = CYCLES,
-    namespace: str = "",
     seed: int = 3,
     world: str = "walker",
-    params: Params = PARAMS,
     table: Path | None = None,
-    writer: BagWriter | None = None,
+    **how: Any,
 ) -> Made:
-    """Record a run of the fake world; into an open bag if a writer is given."""
-    plan = Plan(world, cycles, seed=seed, params=params, table=table)
-    loop = Loop(plan, FakeWorld(plan.legs, params, falls_at=[20, 50]))
-    into = writer or BagWriter(BagOptions(bag))
-    try:
-        card = Card.of_plan(plan, loop.shared.table, {"ember_ros": "1.2.3"})
-        recording = Recording(into, card, loop.shared.table, namespace=namespace)
-        for _ in range(cycles * TICKS):
-            loop.tick(recording)
-        recording.finish()
-        sha = loop.finish().sha256()
-        if writer is None:
-            into.close()
-            seal(bag, table_sha256=sha)
-    finally:
-        if writer is None:
-            into.abandon()
-        loop.close()
-    return Made(bag, plan, sha)
-
-
-def write(bag: Path, raws: Iterable[Raw]) -> Path:
-    """Write messages as they are."""
-    writer = BagWriter(BagOptions(bag))
-    try:
-        for raw in raws:
-            writer.write(writer.channel(raw.topic, raw.kind), raw.ns, raw.data)
-        writer.close()
-    finally:
-        writer.abandon()
-    return bag
+    """Record a run of the fake world, in which the robot falls twice."""
+    config = RunConfig(world, cycles, seed=seed, params=PARAMS, table=table)
+    return bags.record(bag, config, falls_at=[20, 50], about={"ember_ros": "1.2.3"}, **how)
 
 
 def rewritten(made: Made, bag: Path, change: Change) -> Path:
     """Write a bag anew, some of its messages changed or (None) left out, sealed as before."""
-    with Bag(made.bag) as opened:
-        changed = [change(raw) for raw in opened.raw()]
-    write(bag, [raw for raw in changed if raw is not None])
-    seal(bag, table_sha256=made.table)
-    return bag
+    changed = map(change, bags.raws_of(made.bag))
+    return write(bag, (raw for raw in changed if raw is not None), made.table)
 
 
 def slower(leg: str, tick: int) -> Change:
@@ -224,7 +170,7 @@ def damaged(walked: Made) -> Path:
 def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Made]:
     """Record two robots into one bag."""
     bag = tmp_path_factory.mktemp("two") / "two"
-    writer = BagWriter(BagOptions(bag))
+    writer = McapWriter(BagOptions(bag))
     made = {
         name: record(bag, cycles=2, namespace=name, seed=seed, writer=writer)
         for seed, name in enumerate(["robot_1", "robot_2"])
@@ -245,7 +191,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Made]:
         ("bag", ("info", "csv", "repair")),
         ("bag info", ("--namespace", "--cycles", "--json")),
         ("bag csv", ("--namespace", "--out", "out/csv", "pandas")),
-        ("bag repair", ("BAG", "cut off", "metadata.yaml")),
+        ("bag repair", ("BAG", "interrupted", "metadata.yaml")),
         ("walk", ("--bag", "--split-s", "--split-mb")),
         ("train", ("--bag", "--split-s", "--split-mb")),
     ],
@@ -272,7 +218,7 @@ COMMANDS = [
     "bag csv --out o",
     "replay",
     "relearn --out o",
-    pytest.param("play", marks=needs_ros),
+    pytest.param("play", marks=pytest.mark.ros),
 ]
 
 SPOILT = {
@@ -371,7 +317,7 @@ def test_info_tells_what_is_inside(run: Go, walked: Made) -> None:
     assert lines["table SHA-256, start"] == empty_table(PARAMS).sha256()[:12]
     assert lines["table SHA-256, end"] == walked.table[:12]
     with Bag(walked.bag) as opened:
-        found, _ = look.info(opened)
+        found, _ = inspection.info(opened)
     assert lines["distance"] == f"{found['distance_m']:.3f} m"
     messages = sum(found["messages"].values())
     assert lines["messages"] == f"{messages} on {len(found['messages'])} topics"
@@ -384,7 +330,7 @@ def test_info_tells_of_every_cycle_when_asked(run: Go, walked: Made) -> None:
     text = run("bag", "info", walked.bag, "--cycles")
     lines = [line.split() for line in text.splitlines()[-CYCLES * 5 :]]
     with Bag(walked.bag) as opened:
-        _, rows = look.info(opened)
+        _, rows = inspection.info(opened)
     assert len(rows) == len(lines)
     for row, line in zip(rows, lines, strict=True):
         assert line[:3] == [str(row.cycle), row.module, f"{row.reward:.3f}"]
@@ -401,7 +347,7 @@ def test_info_for_programs(run: Go, walked: Made) -> None:
     found = json.loads(run("bag", "info", walked.bag, "--json"))
     rows = [Row(**row) for row in found.pop("rows")]
     with Bag(walked.bag) as opened:
-        expected, expected_rows = look.info(opened)
+        expected, expected_rows = inspection.info(opened)
     assert found == json.loads(json.dumps(expected))
     assert [repr(row) for row in rows] == [repr(row) for row in expected_rows]
 
@@ -425,7 +371,7 @@ def test_info_tells_what_is_missing(run: Go, walked: Made) -> None:
 def test_info_finds_damage(run: Go, damaged: Path) -> None:
     """One bit of one number: exit code 1, tick and leg; for programs as well."""
     text = words_of(run("bag", "info", damaged, code=1))
-    assert "damaged tick 40, rear_left: senses are not those that were recorded" in text
+    assert "damaged tick 40, rear_left: the senses are not the recorded ones" in text
     found = json.loads(run("bag", "info", damaged, "--json", code=1))
     (damage,) = found["damaged"]
     assert (damage["tick"], damage["leg"]) == (40, "rear_left")
@@ -436,7 +382,7 @@ def test_info_of_a_bag_of_others(run: Go, others: Path) -> None:
     """All but the provenance; it is said why that is not there."""
     text = words_of(run("bag", "info", others))
     assert "64 from 0 on: 1 s, 2 cycles" in text
-    assert "run not told: made by another recorder, cannot be replayed" in text
+    assert "run not recorded: a bag of another recorder, which cannot be replayed" in text
     assert "card" not in json.loads(run("bag", "info", others, "--json"))
 
 
@@ -445,7 +391,7 @@ def test_info_of_one_of_two_robots(run: Go, two: dict[str, Made]) -> None:
     for name, made in two.items():
         found = json.loads(run("bag", "info", made.bag, "--json", "--namespace", name))
         assert (found["namespace"], found["ticks"]) == (f"/{name}", 64)
-        assert found["card"]["legs"]["rear_left"]["seed"] == made.plan.seed
+        assert found["card"]["legs"]["rear_left"]["seed"] == made.config.seed
 
 
 @pytest.mark.parametrize("name", ["run[bold]x", "run[/x]", "run[link=a]"])
@@ -465,7 +411,10 @@ def test_csv_writes_two_files(run: Go, walked: Made) -> None:
     assert text == "In out/csv: cycles.csv, ticks.csv"
     with Path("out/csv/ticks.csv").open(newline="") as file:
         lines = list(csv.reader(file))
-    assert tuple(lines[0]) == (*look.TICK_COLUMNS, *(f"reward_{n}" for n in Rewarder.names))
+    assert tuple(lines[0]) == (
+        *inspection.TICK_COLUMNS,
+        *(f"reward_{n}" for n in PaperReward.names),
+    )
     assert len(lines) == 1 + CYCLES * TICKS * 4
     with Path("out/csv/cycles.csv").open(newline="") as file:
         lines = list(csv.reader(file))
@@ -523,7 +472,7 @@ def test_repair_keeps_what_was_finished(run: Go) -> None:
     ticks = int(lines["ticks"].split()[0])
     assert 0 < ticks < CYCLES * TICKS
     assert ticks % 16 == 0
-    assert int(lines["torn at the end"].split()[0]) > 0
+    assert int(lines["incomplete at the end"].split()[0]) > 0
     found = json.loads(run("bag", "info", "bag", "--json"))
     assert (found["ticks"], found["damaged"], found["lost_ticks"]) == (ticks, [], 0)
     assert "Equal, bit for bit." in run("replay", "bag")
@@ -539,7 +488,7 @@ def test_repair_of_nothing_is_a_mistake(run: Go, content: bytes | None) -> None:
         assert "is no bag" in mistake(run, "bag", "repair", "bag")
     else:
         Path("bag/bag_0.mcap").write_bytes(content)
-        assert "nothing in bag is whole" in mistake(run, "bag", "repair", "bag")
+        assert "nothing in bag is intact" in mistake(run, "bag", "repair", "bag")
         assert [file.name for file in Path("bag").iterdir()] == ["bag_0.mcap"]
         assert Path("bag/bag_0.mcap").read_bytes() == content
 
@@ -551,13 +500,13 @@ def test_replay_comes_out_equal(run: Go, walked: Made) -> None:
     """Exit code 0, how much was held against the record, and the table, which can be kept."""
     text = words_of(run("replay", walked.bag, "--table", "again.npz"))
     assert "ticks 64 (2 cycles)" in text
-    assert "commands 256 held against the record" in text
-    assert f"table SHA-256 {walked.table[:12]}, as recorded" in text
+    assert "commands 256 compared with the record" in text
+    assert f"table SHA-256 {walked.table[:12]}, equal to the recorded one" in text
     assert text.endswith("Equal, bit for bit.")
-    assert "In again.npz: the table in the end" in text
+    assert "In again.npz: the table at the end" in text
     assert load_table(Path("again.npz"), PARAMS)[0].sha256() == walked.table
     before = Path("again.npz").read_bytes()
-    assert "is there already" in run("replay", walked.bag, "--table", "again.npz", code=2)
+    assert "exists already" in run("replay", walked.bag, "--table", "again.npz", code=2)
     assert Path("again.npz").read_bytes() == before
 
 
@@ -569,7 +518,7 @@ def test_replay_begins_with_the_table_of_the_run(run: Go, world: str) -> None:
     save_table(Path("start.npz"), table, PARAMS, 0)
     made = record(Path("bag"), world=world, table=Path("start.npz"))
     Path("start.npz").unlink()
-    assert f"{made.table[:12]}, as recorded" in words_of(run("replay", "bag"))
+    assert f"{made.table[:12]}, equal to the recorded one" in words_of(run("replay", "bag"))
 
 
 @pytest.mark.parametrize("lost", ["/run/values", "/run/visits"])
@@ -629,7 +578,7 @@ def test_replay_says_what_it_could_not_compare(run: Go, walked: Made) -> None:
     """A command that nobody recorded is counted; all else came out equal."""
     bag = rewritten(walked, Path("bag"), without("/rear_left/command", since=30, until=33))
     text = words_of(run("replay", bag))
-    assert "commands 253 held against the record" in text
+    assert "commands 253 compared with the record" in text
     assert "rear_left 3 ticks without a recorded command" in text
     assert "Equal, bit for bit." in text
 
@@ -639,13 +588,13 @@ def test_replay_holds_the_table_at_the_end_against_the_record(run: Go, walked: M
     bag = shutil.copytree(walked.bag, "bag")
     seal(Path(bag), table_sha256="f00d" * 16)
     text = words_of(run("replay", "bag", code=1))
-    assert f"{walked.table[:12]}, recorded was f00df00df00d" in text
+    assert f"{walked.table[:12]}, the recorded one is f00df00df00d" in text
     assert "Equal" not in text
     content = yaml.safe_load(Path("bag", METADATA).read_text())
     content[INFORMATION]["custom_data"] = None
     Path("bag", METADATA).write_text(yaml.safe_dump(content))
     text = words_of(run("replay", "bag"))
-    assert "the run's own was not recorded" in text
+    assert "not compared: the bag has none" in text
     assert "Equal, bit for bit." in text
 
 
@@ -664,24 +613,21 @@ def test_replay_of_one_of_two_robots(run: Go, two: dict[str, Made]) -> None:
         assert "Equal, bit for bit." in text
 
 
-@needs_ros
+@pytest.mark.ros
 def test_replay_on_the_graph(
     walked: Made,
-    free_domain: int,
-    monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """Real leg nodes, table node and CPG node: the same bits, the same words."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain))
     words = ["replay", str(walked.bag), "--on", "graph"]
     main.main(words, prog_name="ember", standalone_mode=False)  # rclpy wants a real stderr
     text = words_of(capfd.readouterr().out)
-    assert "commands 256 held against the record" in text
-    assert f"table SHA-256 {walked.table[:12]}, as recorded" in text
+    assert "commands 256 compared with the record" in text
+    assert f"table SHA-256 {walked.table[:12]}, equal to the recorded one" in text
     assert text.endswith("Equal, bit for bit.")
 
 
-@pytest.mark.parametrize("words", [("--on", "moon"), ("--rate", -1), ("--rate", "fast")])
+@pytest.mark.parametrize("words", [("--on", "moon"), ("--rate", -1), ("--rate", "nan")])
 def test_a_bad_option_of_replay_is_said(run: Go, walked: Made, words: Sequence[Any]) -> None:
     """Exit code 2 and its value."""
     text = run("replay", walked.bag, *words, code=2)
@@ -724,6 +670,8 @@ def test_relearn_with_the_same_numbers_learns_the_same(run: Go, walked: Made) ->
         (("--reward.slip", 2), {"reward.slip": 2.0}),
         (("--state.force_edges", "0.1,0.5"), {"state.force_edges": [0.1, 0.5]}),
         (("--bins", 5), {"state.hip_bins": 5}),
+        (("--set", "reward.slip=2.5"), {"reward.slip": 2.5}),
+        (("--set", "reward.slip=2.5", "--reward.slip", 3), {"reward.slip": 3.0}),
         (("--alpha", 0.5, "--gamma", 0.25), {"walk.alpha_floor": 0.5, "walk.gamma": 0.25}),
         (
             ("--stage", "train", "--alpha", 0.5, "--gamma", 0),
@@ -778,11 +726,14 @@ def test_relearn_does_not_replace_unasked(run: Go, walked: Made) -> None:
     run("relearn", walked.bag, "--out", "o")
     before = {file.name: file.read_bytes() for file in Path("o").iterdir()}
     said = mistake(run, "relearn", walked.bag, "--out", "o", "--gamma", 0.5)
-    assert "o holds table.npz, relearn.json already" in said
+    assert "o has table.npz, params.yaml, relearn.json already" in said
     assert "--force" in said
     assert {file.name: file.read_bytes() for file in Path("o").iterdir()} == before
     run("relearn", walked.bag, "--out", "o", "--gamma", 0.5, "--force")
     assert relearnt(Path("o"))[1].walk.gamma == 0.5
+    Path("mine").mkdir()
+    Path("mine/params.yaml").write_text("mine")
+    assert "mine has params.yaml already" in mistake(run, "relearn", walked.bag, "--out", "mine")
 
 
 @pytest.mark.parametrize(
@@ -891,7 +842,7 @@ def test_a_run_is_recorded_and_replayed(run: Go, verb: str) -> None:
     """In the real worlds: files, provenance and bits are those of the run."""
     where = ("--on", "loop", "--out", "o", "--bag", "deep/bag")
     text = words_of(run(verb, "--cycles", 3, "--seed", 4, "--split-s", 0.5, *where))
-    assert "In deep/bag: the whole run; `ember replay deep/bag` runs it again" in text
+    assert "In deep/bag: the whole run; `ember replay deep/bag` repeats it" in text
     files = sorted(file.name for file in Path("deep/bag").iterdir())
     assert files[:-1] == [f"bag_{n}.mcap" for n in range(len(files) - 1)]
     assert files[-1] == METADATA

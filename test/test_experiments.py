@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import json
 import math
 import os
@@ -10,15 +11,14 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from ember_ros.cli import main
 from ember_ros.experiments import isotropy, lab, relearn, stats
 from ember_ros.experiments.central import CentralLoop
 from ember_ros.experiments.reproduction import DOCUMENT, RESULTS, STUDIES, document
@@ -42,6 +42,7 @@ from ember_ros.experiments.trial import (
     DECIDES,
     TABLE,
     Trial,
+    code_sha256,
     done,
     outcome,
     run_trial,
@@ -49,15 +50,18 @@ from ember_ros.experiments.trial import (
 from ember_ros.experiments.words import column
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
-from ember_ros.plan import Plan, make_world
+from ember_ros.run_config import RunConfig
 from ember_ros.signals import LegCommand, LegSense
-from leg_node.state import Partition
+from ember_ros.worlds import make_world
+from leg_node.discretizer import PaperDiscretizer
 from leg_node.table_file import load_table
+from support.command import EMBER, ROOT, child, ember, started
+from support.legs import beat
+from support.waiting import DEADLINE_S, until
 
 pytest.importorskip("pybullet", reason="a trial needs a world")
 pytest.importorskip("scipy", reason="statistics need it")
 
-ROOT = Path(__file__).resolve().parents[1]
 SIZE = Size(seeds=2, train=3, walk=20)
 
 
@@ -70,9 +74,9 @@ def test_a_trial_is_what_the_loop_does(tmp_path: Path) -> None:
     assert walk.start is not None
     for trial in (walk.start, walk):
         assert run_trial(trial, tmp_path)
-    plans = [
-        Plan("trainer", 3, seed=4, params=numbers("ember")),
-        Plan(
+    configs = [
+        RunConfig("trainer", 3, seed=4, params=numbers("ember")),
+        RunConfig(
             "walker",
             3,
             seed=4 + OTHER_SEED,
@@ -80,14 +84,14 @@ def test_a_trial_is_what_the_loop_does(tmp_path: Path) -> None:
             table=tmp_path / walk.start.key / TABLE,
         ),
     ]
-    for plan, trial in zip(plans, (walk.start, walk), strict=True):
-        loop = Loop(plan)
+    for config, trial in zip(configs, (walk.start, walk), strict=True):
+        loop = Loop(config)
         for _ in range(3 * 32):
             loop.tick()
         sha = loop.finish().sha256()
         loop.close()
         assert outcome(trial, tmp_path).measures["table_sha256"] == sha
-        kept, _ = load_table(tmp_path / trial.key / TABLE, plan.params)
+        kept, _ = load_table(tmp_path / trial.key / TABLE, config.params)
         assert kept.sha256() == sha
 
 
@@ -135,17 +139,44 @@ def test_the_code_that_decides_is_all_that_runs(tmp_path: Path) -> None:
         "print('\\n'.join(sys.modules))\n"
     )
     command = [sys.executable, "-c", code, "trials"]
-    run = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    run = child(command, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
     house = {name for name in run.stdout.split() if name.split(".")[0] in ("ember_ros", *ROOMS)}
     idle = {"leg_node", "sim_node", "cpg_node", "ember_ros.experiments", "ember_ros.report"}
-    # What is said of a trial, errors, two protocols, and a file's format: a table is held by its
-    # SHA-256.
-    idle |= {"ember_ros.versions", "sim_node.world", "ember_ros.observer"}
-    idle |= {"leg_node.table_file", "ember_ros.given", "ember_ros.errors"}
+    # What is said of a trial, errors, a protocol, a file's format and its place: a table is held by
+    # its SHA-256.
+    idle |= {"ember_ros", "ember_ros.versions", "ember_ros.observer", "ember_ros.shipped"}
+    idle |= {"leg_node.table_file", "ember_ros.bounded_io", "ember_ros.errors"}
     assert house - idle == set(DECIDES)
 
 
 ROOMS = ("leg_node", "sim_node", "cpg_node")
+
+
+def test_the_code_of_a_part_that_is_named_is_in_the_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another line in a file of one's own, and what was run before is of another trial."""
+    monkeypatch.syspath_prepend(tmp_path)
+    file = tmp_path / "named_in_a_trial.py"
+    params = replace(Params(), {"parts.reward": "named_in_a_trial.Mine"})
+
+    def key(code: str, trial: Trial) -> str:
+        file.write_text(code)
+        importlib.invalidate_caches()
+        code_sha256.cache_clear()
+        return trial.named({})
+
+    for trial in (
+        Trial("walker", 1, 0, params),
+        Trial("walker", 1, 0, policy="named_in_a_trial.Mine"),
+        Trial("named_in_a_trial.Mine", 1, 0),
+    ):
+        first = key("class Mine:\n    a = 1\n", trial)
+        assert key("# a remark\nclass Mine:\n    a = 1\n", trial) == first
+        assert key("class Mine:\n    a = 2\n", trial) != first
+    plain = Trial("walker", 1, 0)
+    assert key("", plain) == key("class Mine: pass\n", plain)
 
 
 def test_a_stopped_trial_leaves_nothing(tmp_path: Path) -> None:
@@ -225,11 +256,12 @@ def alive(group: int) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "words", "says"),
     [
-        (signal.SIGINT, ("fig5", "--seeds", "2"), "what was run is in out/trials"),
-        (signal.SIGHUP, ("fig5", "--seeds", "2"), "what was run is in out/trials"),
+        (signal.SIGINT, ("fig5", "--seeds", "2"), "finished runs are in out/trials"),
+        (signal.SIGHUP, ("fig5", "--seeds", "2"), "finished runs are in out/trials"),
         (signal.SIGINT, ("relearn", "--cycles", "1000000"), "after 0 of 5 seeds"),
     ],
 )
@@ -237,20 +269,21 @@ def test_ctrl_c_stops_an_experiment_and_its_workers(
     tmp_path: Path, number: int, words: tuple[str, ...], says: str
 ) -> None:
     """The terminal, or its end, signals them all: 130, a line that says so, nobody left."""
-    command = [sys.executable, "-m", "ember_ros", "experiment", *words]
-    with subprocess.Popen(
+    command = [*EMBER, "experiment", *words]
+    with started(
         command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, start_new_session=True
-    ) as child:
-        while child.poll() is None and len(list(Path(f"/proc/{child.pid}/task").glob("*"))) < 3:
-            pass  # until its pool has begun
-        os.killpg(child.pid, number)
-        output, _ = child.communicate(timeout=120)
-    assert child.returncode == 130, output
+    ) as lead:
+        threads = Path(f"/proc/{lead.pid}/task")
+        until(
+            lambda: lead.poll() is not None or len(list(threads.glob("*"))) >= 3,
+            "its pool has begun",
+        )
+        os.killpg(lead.pid, number)
+        output, _ = lead.communicate(timeout=2 * DEADLINE_S)
+    assert lead.returncode == 130, output
     assert "Stopped" in output
     assert says in output
-    deadline = time.monotonic() + 60.0
-    while left := alive(child.pid):
-        assert time.monotonic() < deadline, f"left behind: {left}"
+    until(lambda: not alive(lead.pid), "nobody is left")
 
 
 # -- what the arms are made of -----------------------------------------------------------------
@@ -273,7 +306,7 @@ def test_a_sense_that_is_left_out_says_nothing() -> None:
         "without inclination": base._replace(inclination=0.3),
     }
     for name, changes in senses.WITHOUT.items():
-        partition = Partition(numbers("ember", **changes))
+        partition = PaperDiscretizer(numbers("ember", **changes))
         same = {
             lost
             for lost, sense in other.items()
@@ -283,7 +316,7 @@ def test_a_sense_that_is_left_out_says_nothing() -> None:
     # The hair is no matter of the partition: it is so long that it touches wherever the leg is.
     world = make_world("walker", numbers("ember", **senses.WITHOUT["without hair"]), 0)
     for tick in range(40):
-        world.step(tick / 32, [None] * 4)
+        world.step(beat(tick), [None] * 4)
         assert all(sense.hair for sense in world.observe())
     world.close()
 
@@ -293,7 +326,7 @@ def test_private_legs_part_ways(tmp_path: Path) -> None:
     found = []
     ways: list[dict[str, Any]] = [{}, {"walk__sync_every": NEVER}]
     for changes in ways:
-        loop = Loop(Plan("walker", 30, params=numbers("plain", **changes)))
+        loop = Loop(RunConfig("walker", 30, params=numbers("plain", **changes)))
         for _ in range(30 * 32):
             loop.tick()
         found.append({leg.copy.table.visits.sum() for leg in loop.legs})
@@ -306,8 +339,8 @@ def test_private_legs_part_ways(tmp_path: Path) -> None:
 
 def test_the_central_learner_learns_by_the_same_rule(tmp_path: Path) -> None:
     """One update a tick into the joint table; legs do what it says and learn nothing themselves."""
-    plan = Plan("walker", 2, seed=1, params=numbers("plain"))
-    loop = CentralLoop(plan)
+    config = RunConfig("walker", 2, seed=1, params=numbers("plain"))
+    loop = CentralLoop(config)
     assert (loop.joint.states, loop.joint.actions) == (32 * 16, 9**4)
     heard: list[tuple[LegCommand | None, ...]] = []
 
@@ -319,7 +352,7 @@ def test_the_central_learner_learns_by_the_same_rule(tmp_path: Path) -> None:
         loop.tick(Hear())
     falls = loop.world.body().falls
     assert loop.joint.visits.sum() == 63 - falls
-    speeds = plan.params.leg.knee_speeds
+    speeds = config.params.leg.knee_speeds
     for tick, commands in enumerate(heard[:20]):  # before any fall: every joint action was learnt
         joint = sum(
             speeds.index(command.knee_speed) * len(speeds) ** n
@@ -359,6 +392,7 @@ def test_every_figure_is_asked_for_in_every_body() -> None:
         assert set(LEARNERS) <= {arm.labels["learner"] for arm in arms}
 
 
+@pytest.mark.slow
 def test_held_out_seeds_are_no_others() -> None:
     """They begin at 100 and meet no seed that is used elsewhere."""
     arms = STUDIES["walker"].arms(Size(10, 1, 10))
@@ -442,18 +476,13 @@ def test_a_measure_that_is_missing_is_not_left_out() -> None:
 # -- the commands and the document -------------------------------------------------------------
 
 
-def ember(*words: Any) -> int:
-    """Run the command in this process and return its exit code."""
-    with pytest.raises(SystemExit) as end:
-        main.main([str(word) for word in words], prog_name="ember")
-    assert isinstance(end.value.code, int)
-    return end.value.code
-
-
 SMOKE = ("--seeds", 1, "--cycles", 2, "--walk-cycles", 10)
 
 
-def test_all_experiments_in_small(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.slow
+def test_all_experiments_in_small(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Every experiment runs, and writes what it says; again, nothing is run and nothing changes."""
     words = ("experiment", "all", *SMOKE, "--out", tmp_path, "--trials", tmp_path / "trials")
     assert ember(*words) == 0
@@ -473,9 +502,11 @@ def test_all_experiments_in_small(tmp_path: Path, capfd: pytest.CaptureFixture[s
     for file in (*results.glob("*.md"), *results.glob("*.png"), tmp_path / DOCUMENT):
         file.unlink()
     assert ember("experiment", "all", "--redraw", "--out", tmp_path) == 0
-    assert "not what this version" not in "".join(capfd.readouterr())
+    assert "this version would give other results" not in "".join(capfd.readouterr())
     assert {file: file.read_bytes() for file in results.iterdir()} == before
     assert (tmp_path / DOCUMENT).read_text() == page
+    # Its pictures were drawn twice, to the same bytes.
+    monkeypatch.setattr(Figure, "savefig", lambda *_, **__: None)
     ran = {file: file.stat().st_mtime_ns for file in (tmp_path / "trials").glob("*/*")}
     assert ember(*words) == 0
     assert {file: file.stat().st_mtime_ns for file in (tmp_path / "trials").glob("*/*")} == ran
@@ -483,6 +514,7 @@ def test_all_experiments_in_small(tmp_path: Path, capfd: pytest.CaptureFixture[s
     assert "REPRODUCTION.md" in "".join(capfd.readouterr())
 
 
+@pytest.mark.slow
 def test_results_of_other_code_are_told_apart(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -506,9 +538,10 @@ def test_results_of_other_code_are_told_apart(
     file.write_text(json.dumps(other))
     capfd.readouterr()
     assert ember("experiment", "fig5", "--redraw", "--out", tmp_path) == 0
-    assert "fig5: not what this version" in capfd.readouterr().out
+    assert "fig5: this version would give other results" in capfd.readouterr().out
 
 
+@pytest.mark.slow
 def test_several_seeds_in_small(tmp_path: Path) -> None:
     """With more than one seed there are quartiles, and one experiment alone writes no document."""
     words = ("experiment", "fig5", "--seeds", 2, "--cycles", 4, "--out", tmp_path)

@@ -5,50 +5,49 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
+import struct
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 
-from cpg_node.node import CpgNode
-from ember_ros import calls, topics, wire
+from ember_ros import cdr, topics, wire
 from ember_ros.errors import EmberError
-from ember_ros.graph import Graph, node_options
-from ember_ros.params import Params, as_dict, cells_sha256, replace
-from ember_ros.plan import Plan
-from ember_ros.signals import LEGS, LegCommand, LegSense, Pair
-from leg_node.node import LegNode
-from leg_node.shared import LocalCopy, Push, SharedTable
-from leg_node.table import empty_table
+from ember_ros.graph import Graph
+from ember_ros.params import Params, cells_sha256
+from ember_ros.params_file import load_params
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import Beat, LegCommand, LegSense, TDUpdate
+from leg_node import calls
+from leg_node.assembly import empty_table
+from leg_node.shared import LocalCopy, SharedTable, UpdateBatch
 from leg_node.table_file import save_table
-from leg_node.table_node import TableNode
-from sim_node.node import SimNode
-
-if TYPE_CHECKING:
-    from test.conftest import Bits, Ros
+from support.configs import changed
+from support.legs import LEGS
+from support.robot import LEG_NODES, PATIENCE_S, Robot, level, spun
+from support.ros import Ros
+from support.runs import Bits
+from support.waiting import in_time
 
 CYCLES = 20
 TICKS = 32
-PATIENCE_S = 30.0
-"""Wall time that nodes wait where bits are compared: a busy machine must not change them."""
 TICK_NS = Params().gait.tick_ns
-LEG_NODES = tuple(f"leg_{leg}" for leg in LEGS)
 
 
-def params(**changes: Any) -> Params:
-    """Return the defaults with some changed; ``__`` stands for the dot."""
-    return replace(Params(), {name.replace("__", "."): value for name, value in changes.items()})
-
-
-def walk(seed: int = 3, sync_every: int = 32, **options: Any) -> Plan:
+def walk(seed: int = 3, sync_every: int = 32, **options: Any) -> RunConfig:
     """Return a plan of a walker that learns."""
-    return Plan("walker", CYCLES, seed=seed, params=params(walk__sync_every=sync_every), **options)
+    return RunConfig(
+        "walker",
+        CYCLES,
+        seed=seed,
+        params=changed(Params(), walk__sync_every=sync_every),
+        **options,
+    )
 
 
 PLANS = {
@@ -58,17 +57,9 @@ PLANS = {
     "walker, frozen": walk(learning=False),
     "walker, scripted": walk(policy="scripted"),
     "walker, random": walk(policy="random"),
-    "trainer": Plan("trainer", 2 * CYCLES, seed=5),
-    "trainer, 16 ticks": Plan("trainer", 8, seed=6, params=params(gait__ticks=16)),
+    "trainer": RunConfig("trainer", 2 * CYCLES, seed=5),
+    "trainer, 16 ticks": RunConfig("trainer", 8, seed=6, params=changed(Params(), gait__ticks=16)),
 }
-
-
-def spun(graph: Graph) -> Graph:
-    """Run a graph to its end within a deadline."""
-    deadline = time.monotonic() + 60.0
-    graph.run(lambda: time.monotonic() < deadline)
-    assert graph.sim.done
-    return graph
 
 
 def refusals(nodes: dict[str, Any]) -> dict[str, int]:
@@ -79,65 +70,105 @@ def refusals(nodes: dict[str, Any]) -> dict[str, int]:
 # -- the same bits -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("plan", PLANS.values(), ids=PLANS.keys())
+SLOW = {
+    "walker, one table for all",
+    "walker, the end within an epoch",
+    "walker, scripted",
+    "walker, random",
+}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"parts__cpg": "support.oscillators.Hurrying"},
+        {f"robot__{n}": v for n, v in vars(load_params("hexapod").robot).items()},
+    ],
+    ids=["an oscillator that hears the legs", "six legs"],
+)
+def test_a_robot_of_other_parts_ends_with_the_bits_of_the_loop(
+    ros: Ros,
+    by_loop: Callable[[RunConfig], Bits],
+    by_graph: Callable[[Any], Bits],
+    changes: dict[str, Any],
+) -> None:
+    """Which legs there are and what the phase hangs on is data: loop and graph still agree."""
+    config = RunConfig("walker", 4, seed=3, params=changed(Params(), **changes))
+    with closing(Graph(config, patience=PATIENCE_S, context=ros.context)) as graph:
+        spun(graph)
+        assert by_graph(graph) == by_loop(config) != by_loop(dataclasses.replace(config, seed=4))
+        assert by_loop(config) != by_loop(RunConfig("walker", 4, seed=3))
+        assert not any(refusals(graph.nodes).values())
+
+
+SLOW = {"walker, one table for all", "walker, the end within an epoch", "walker, scripted"}
+
+
+@pytest.mark.parametrize(
+    "config",
+    [pytest.param(PLANS[n], id=n, marks=[pytest.mark.slow] * (n in SLOW)) for n in PLANS],
+)
 def test_the_graph_ends_with_the_bits_of_the_loop(
     ros: Ros,
-    by_loop: Callable[[Plan], Bits],
+    by_loop: Callable[[RunConfig], Bits],
     by_graph: Callable[[Any], Bits],
-    plan: Plan,
+    config: RunConfig,
 ) -> None:
     """Table, senses and commands are equal, bit for bit, and nothing healthy is refused."""
-    with closing(Graph(plan, patience=PATIENCE_S, context=ros.context)) as graph:
+    with closing(Graph(config, patience=PATIENCE_S, context=ros.context)) as graph:
         spun(graph)
-        assert by_graph(graph) == by_loop(plan)
+        assert by_graph(graph) == by_loop(config)
         assert not any(refusals(graph.nodes).values())
-        assert len(graph.sim.recorder.body_rows()) == plan.cycles
+        assert len(graph.sim.recorder.body_rows()) == config.cycles
 
 
+@pytest.mark.slow
 def test_a_graph_runs_twice_the_same_way_and_from_a_table(
     ros: Ros,
     tmp_path: Path,
-    by_loop: Callable[[Plan], Bits],
+    by_loop: Callable[[RunConfig], Bits],
     by_graph: Callable[[Any], Bits],
 ) -> None:
     """Two graphs, one after the other, end alike, also when they begin with what was learnt."""
     file = tmp_path / "table.npz"
     with closing(Graph(PLANS["walker"], patience=PATIENCE_S, context=ros.context)) as first:
         save_table(file, spun(first).nodes["table_node"].shared.table, Params(), 3)
-    plan = walk(table=file)
+    config = walk(table=file)
     ends = []
     for _ in range(2):
-        with closing(Graph(plan, patience=PATIENCE_S, context=ros.context)) as graph:
+        with closing(Graph(config, patience=PATIENCE_S, context=ros.context)) as graph:
             ends.append(by_graph(spun(graph)))
-    assert ends[0] == ends[1] == by_loop(plan)
+    assert ends[0] == ends[1] == by_loop(config)
     assert ends[0] != by_loop(PLANS["walker"])
 
 
+@pytest.mark.slow
 def test_two_robots_in_two_namespaces_do_not_feel_each_other(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """In one domain, at once, tick by tick in turn, each ends with the bits of its own loop."""
-    plans = {"robot_1": walk(seed=8), "deep/robot_2": walk(seed=9, sync_every=4)}
+    configs = {"robot_1": walk(seed=8), "deep/robot_2": walk(seed=9, sync_every=4)}
     with ExitStack() as stack:
         graphs = {
             name: stack.enter_context(
-                closing(Graph(plan, patience=PATIENCE_S, context=ros.context, namespace=name))
+                closing(Graph(config, patience=PATIENCE_S, context=ros.context, namespace=name))
             )
-            for name, plan in plans.items()
+            for name, config in configs.items()
         }
-        deadline = time.monotonic() + 60.0
+        go_on = in_time()
         while not all(graph.sim.done for graph in graphs.values()):
-            assert time.monotonic() < deadline
+            go_on()
             for graph in graphs.values():
                 graph.spin_once(0.0)
         for name, graph in graphs.items():
             graph.finish()
-            assert by_graph(graph) == by_loop(plans[name])
+            assert by_graph(graph) == by_loop(configs[name])
             assert not any(refusals(graph.nodes).values())
 
 
+@pytest.mark.slow
 def test_who_looks_on_changes_nothing(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """With every topic heard, odometry included, the bits are the same, and all topics speak."""
     with closing(Graph(walk(), patience=PATIENCE_S, context=ros.context)) as graph:
@@ -153,10 +184,7 @@ def test_who_looks_on_changes_nothing(
                   for kind in (topics.joint_states, topics.contact, topics.command)),
             )
         }  # fmt: skip
-        deadline = time.monotonic() + 60.0
-        while not graph.sim.done and time.monotonic() < deadline:
-            graph.spin_once(0.001)
-            ros.spin_once(0.0)
+        ros.spin_until(lambda: graph.sim.done, "the last tick", graph.spin_once)
         graph.finish()
         assert by_graph(graph) == by_loop(walk())
         ros.spin_until(lambda: len(heard["rear_right/command"]) == CYCLES * TICKS, "all is heard")
@@ -164,8 +192,8 @@ def test_who_looks_on_changes_nothing(
         assert [c.sec * 10**9 + c.nanosec for c in clock] == [
             n * TICK_NS for n in range(CYCLES * TICKS)
         ]
-        assert [message.data for message in heard["cpg/phase"]] == [
-            n / TICKS for n in range(CYCLES * TICKS)
+        assert [message.position.tolist() for message in heard["cpg/phase"]] == [
+            [n / TICKS] for n in range(CYCLES * TICKS)
         ]
         assert heard["odometry"]
         assert {m.header.frame_id for m in heard["odometry"]} == {"odom"}
@@ -199,20 +227,25 @@ def test_a_graph_that_is_stopped_early_keeps_what_was_learnt(ros: Ros) -> None:
 # -- falls -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_fall_is_counted_told_and_credited_to_nobody(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """Each fall is said on ``falls`` and sets all restart bits for a tick; then no leg learns."""
-    plan = Plan(
-        "walker", CYCLES, seed=1, policy="random", params=params(walker__hip_half_width=0.1)
+    config = RunConfig(
+        "walker",
+        CYCLES,
+        seed=1,
+        policy="random",
+        params=changed(Params(), walker__hip_half_width=0.1),
     )
-    assert by_loop(plan).falls >= 3
-    with closing(Graph(plan, patience=PATIENCE_S, context=ros.context)) as graph:
+    assert by_loop(config).falls >= 3
+    with closing(Graph(config, patience=PATIENCE_S, context=ros.context)) as graph:
         falls = ros.messages(topics.FALLS)
         contacts = {leg: ros.messages(topics.contact(leg)) for leg in LEGS}
         spun(graph)
-        assert by_graph(graph) == by_loop(plan)
-        happened = by_loop(plan).falls
+        assert by_graph(graph) == by_loop(config)
+        happened = by_loop(config).falls
         ros.spin_until(
             lambda: all(len(heard) == CYCLES * TICKS for heard in contacts.values()), "all is heard"
         )
@@ -269,6 +302,11 @@ class Stranger:
         return self.commands.pack(LegCommand(tick, 5.0, -5.0, 1.0, 1.0)._replace(**changes))
 
     @staticmethod
+    def beat(tick: int, *, tick_ns: int = TICK_NS, **changes: Any) -> bytes:
+        """Return a ``cpg/phase`` of a tick."""
+        return wire.BeatWire(tick_ns).pack(Beat(tick, tick / TICKS)._replace(**changes))
+
+    @staticmethod
     def _sense(tick: int) -> LegSense:
         return LegSense(tick, 0.3, 0.3, 1.0, 1.0, 9.0, 9.0, 0.1, 0.001, False, True, False)
 
@@ -280,6 +318,8 @@ JOINTS, CONTACT, COMMAND = (
 PHASE = topics.PHASE.name
 HEARERS_OF_PHASE = (*LEG_NODES, *SIM)
 NAN = float("nan")
+BARE_PHASE = cdr.ENCAPSULATION + struct.pack("<d", 0.5)
+"""What a CPG of before the stamp says."""
 SAYS: dict[str, tuple[tuple[str, ...], str, Callable[[Stranger], bytes]]] = {
     "joints not finite": (LEG, JOINTS, lambda s: s.joints(s.tick, knee=NAN)),
     "joints of another leg's names": (LEG, JOINTS, lambda s: s.contact(s.tick)),
@@ -297,11 +337,13 @@ SAYS: dict[str, tuple[tuple[str, ...], str, Callable[[Stranger], bytes]]] = {
     "command that is no message": (SIM, COMMAND, lambda s: b""),
     "command of the past": (SIM, COMMAND, lambda s: s.command(s.tick - 1)),
     "command of the future": (SIM, COMMAND, lambda s: s.command(s.tick + 1000)),
-    "phase not finite": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase(NAN)),
-    "phase under 0": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase(-1.0)),
-    "phase between ticks": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase(0.3)),
-    "phase of the past": (HEARERS_OF_PHASE, PHASE, lambda s: wire.pack_phase((s.tick - 2) / 32)),
-    "phase of the future": (SIM, PHASE, lambda s: wire.pack_phase(s.tick + 1000.0)),
+    "phase not finite": (HEARERS_OF_PHASE, PHASE, lambda s: s.beat(s.tick, phase=NAN)),
+    "phase under 0": (HEARERS_OF_PHASE, PHASE, lambda s: s.beat(s.tick, phase=-1.0)),
+    "phase without a stamp": (HEARERS_OF_PHASE, PHASE, lambda s: BARE_PHASE),
+    "phase of another oscillator": (HEARERS_OF_PHASE, PHASE, lambda s: s.joints(s.tick)),
+    "phase between ticks": (HEARERS_OF_PHASE, PHASE, lambda s: s.beat(7, tick_ns=TICK_NS - 1)),
+    "phase of the past": (HEARERS_OF_PHASE, PHASE, lambda s: s.beat(s.tick - 2)),
+    "phase of the future": (SIM, PHASE, lambda s: s.beat(s.tick + 1000)),
 }  # fmt: skip
 
 
@@ -318,22 +360,22 @@ def disturbed(
     """
     with closing(Graph(BRIEF, patience=PATIENCE_S, context=ros.context)) as graph:
         stranger = Stranger(ros, graph)
-        deadline = time.monotonic() + 20.0
+        go_on = in_time()
         events = 0
-        while not graph.sim.done and time.monotonic() < deadline:
+        while not graph.sim.done:
+            go_on()
             graph.spin_once(0.001)
             events += 1
             early, late = 3, BRIEF.cycles * TICKS - 4
             if events % 23 == 0 and early < stranger.tick < late and say(stranger):
                 stranger.turn += 1
-        assert graph.sim.done
         graph.finish()
         return by_graph(graph), stranger.turn, refusals(graph.nodes)
 
 
 @pytest.mark.parametrize("what", SAYS)
 def test_what_a_stranger_says_is_refused_and_counted_and_changes_no_bit(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits], what: str
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits], what: str
 ) -> None:
     """Malformed, of the past or of the future: each message is counted by who hears it."""
     hearers, topic, make = SAYS[what]
@@ -355,7 +397,7 @@ def test_what_a_stranger_says_is_refused_and_counted_and_changes_no_bit(
 @pytest.mark.parametrize("ahead", [1, 5])
 def test_what_a_leg_hears_of_the_future_is_never_used(
     ros: Ros,
-    by_loop: Callable[[Plan], Bits],
+    by_loop: Callable[[RunConfig], Bits],
     by_graph: Callable[[Any], Bits],
     source: str,
     ahead: int,
@@ -365,7 +407,7 @@ def test_what_a_leg_hears_of_the_future_is_never_used(
     def say(stranger: Stranger) -> bool:
         tick = stranger.tick + ahead + stranger.turn % 50 * (ahead > 1)
         if source == "phase":
-            stranger.say(PHASE, wire.pack_phase(tick / 32))
+            stranger.say(PHASE, stranger.beat(tick))
         elif source == "joints":
             stranger.say(JOINTS, stranger.joints(tick))
         else:
@@ -378,7 +420,7 @@ def test_what_a_leg_hears_of_the_future_is_never_used(
 
 
 def test_old_messages_that_agree_by_chance_do_not_begin_time_anew(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """Joints, contact and phase of tick 3, told ticks apart while time goes on, are just old."""
 
@@ -388,7 +430,7 @@ def test_old_messages_that_agree_by_chance_do_not_begin_time_anew(
             return False
         stranger.say(
             (JOINTS, CONTACT, PHASE)[which],
-            (stranger.joints(3), stranger.contact(3), wire.pack_phase(3 / 32))[which],
+            (stranger.joints(3), stranger.contact(3), stranger.beat(3))[which],
         )
         return True
 
@@ -398,15 +440,17 @@ def test_old_messages_that_agree_by_chance_do_not_begin_time_anew(
 
 
 def test_a_malformed_push_during_a_run_changes_no_bit(
-    ros: Ros, by_loop: Callable[[Plan], Bits], by_graph: Callable[[Any], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """A stranger's push of nonsense is refused with a reason; the run ends as without it."""
-    good = Push(0, "stranger", 3, cells_sha256(Params()), (Pair(3, 7, 1.0),))
-    bad = (good._replace(cells_sha256="?"), good._replace(pairs=(Pair(3, -7, 1.0),)))
+    good = UpdateBatch(0, "stranger", 3, cells_sha256(Params()), (TDUpdate(3, 7, 1.0),))
+    bad = (good._replace(cells_sha256="?"), good._replace(updates=(TDUpdate(3, -7, 1.0),)))
     with closing(Graph(BRIEF, patience=PATIENCE_S, context=ros.context)) as graph:
         push = ros.client(topics.PUSH)
         for n in range(4):
-            while graph.sim.world.observe()[0].tick < 50 * n:
+            go_on = in_time()
+            while graph.sim.tick < 50 * n:
+                go_on()
                 graph.spin_once(0.01)
             result = ros.call(push, calls.write_push(bad[n % 2]), graph.spin_once).result
             assert not result.successful
@@ -417,79 +461,6 @@ def test_a_malformed_push_during_a_run_changes_no_bit(
 
 
 # -- who dies and who comes back ---------------------------------------------------------------
-
-KINDS = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
-
-
-class Robot:
-    """The nodes of a plan one by one, so that each can die and come back."""
-
-    def __init__(self, ros: Ros, plan: Plan, **options: dict[str, Any]) -> None:
-        """Start all nodes, with some options changed."""
-        self._ros, self._plan = ros, plan
-        self.nodes: dict[str, Any] = {}
-        for name in node_options(plan, None):
-            self.start(name, **options.get(name, {}))
-
-    @property
-    def sim(self) -> Any:
-        """Return the sim node."""
-        return self.nodes["sim_node"]
-
-    @property
-    def tick(self) -> int:
-        """Return the world's present tick."""
-        tick: int = self.sim.world.observe()[0].tick
-        return tick
-
-    def start(self, name: str, **changes: Any) -> Any:
-        """Start a node."""
-        numbers = {
-            f"{group}.{field}": value
-            for group, fields in as_dict(self._plan.params).items()
-            for field, value in fields.items()
-        }
-        given = {**numbers, **node_options(self._plan, None)[name], **changes}
-        leg = {"node_name": name} if name.startswith("leg_") else {}
-        node = KINDS.get(name, LegNode)(
-            context=self._ros.context,
-            parameter_overrides=[Parameter(key, value=value) for key, value in given.items()],
-            **leg,
-        )
-        self.nodes[name] = self._ros.add(node)
-        return node
-
-    def kill(self, name: str) -> Any:
-        """Destroy a node where it stands."""
-        node = self.nodes.pop(name)
-        self._ros.remove(node)
-        return node
-
-    def walk_to(self, tick: int) -> None:
-        """Spin until the world is at a tick."""
-        self._ros.spin_until(lambda: self.tick >= tick or self.sim.done, f"tick {tick}")
-
-    def finish(self) -> Bits:
-        """Run to the end and return the bits."""
-        self._ros.spin_until(lambda: self.sim.done, "the last tick")
-        for name, node in self.nodes.items():
-            if name != "table_node":
-                node.finish(self._ros.spin_once)
-        table = self.nodes["table_node"]
-        table.finish(self._ros.spin_once)
-        summary = self.sim.recorder.summary()
-        return (  # type: ignore[return-value]
-            table.shared.table.sha256(),
-            summary["senses_sha256"],
-            summary["commands_sha256"],
-            summary["falls"],
-        )
-
-
-def level(message: Any, name: str) -> tuple[bytes, str]:
-    """Return the level and the text of one status in a diagnostics message."""
-    (status,) = (s for s in message.status if s.name == name)
-    return status.level, status.message
 
 
 def test_a_leg_that_dies_is_absent_and_one_that_comes_back_is_present(ros: Ros) -> None:
@@ -518,7 +489,7 @@ def test_a_leg_that_dies_is_absent_and_one_that_comes_back_is_present(ros: Ros) 
 
 
 def test_a_cpg_that_dies_stops_the_world_and_a_new_one_takes_it_on(
-    ros: Ros, by_loop: Callable[[Plan], Bits]
+    ros: Ros, by_loop: Callable[[RunConfig], Bits]
 ) -> None:
     """The world stands still and says so; the new CPG reads the phase off the clock, to the bit."""
     robot = Robot(ros, walk(), sim_node={"patience": 0.2})
@@ -534,12 +505,12 @@ def test_a_cpg_that_dies_stops_the_world_and_a_new_one_takes_it_on(
     ros.spin_until(lambda: len(diagnostics) > count + 2, "diagnostics go on")
     assert robot.tick == stopped
     robot.start("cpg_node")
-    assert robot.finish() == by_loop(walk())
+    assert robot.run() == by_loop(walk())
     assert not any(refusals(robot.nodes).values())
 
 
 def test_a_table_node_can_be_changed_for_another_that_has_its_file(
-    ros: Ros, tmp_path: Path, by_loop: Callable[[Plan], Bits]
+    ros: Ros, tmp_path: Path, by_loop: Callable[[RunConfig], Bits]
 ) -> None:
     """Stopped and started again between two epochs, with what it saved, it is the same table."""
     file = str(tmp_path / "table.npz")
@@ -551,9 +522,10 @@ def test_a_table_node_can_be_changed_for_another_that_has_its_file(
         robot.start("table_node", table=file, save=file)
         ros.client(topics.PULL)
         ros.client(topics.PUSH)
-    assert robot.finish() == by_loop(walk())
+    assert robot.run() == by_loop(walk())
 
 
+@pytest.mark.slow
 def test_legs_go_on_without_the_table_and_give_a_new_one_what_they_kept(ros: Ros) -> None:
     """Nothing that was learnt is lost or doubled between the table that died and the new one."""
     robot = Robot(ros, walk(), sim_node={"cycles": 2 * CYCLES, "patience": 5.0})
@@ -561,7 +533,7 @@ def test_legs_go_on_without_the_table_and_give_a_new_one_what_they_kept(ros: Ros
     old = robot.kill("table_node")
     robot.walk_to(400)
     new = robot.start("table_node")
-    robot.finish()
+    robot.run()
     old.shared.merge()
     ticks, falls = 2 * CYCLES * TICKS, robot.sim.recorder.summary()["falls"]
     assert not any(robot.sim.recorder.summary()["absent_ticks"].values())
@@ -571,7 +543,8 @@ def test_legs_go_on_without_the_table_and_give_a_new_one_what_they_kept(ros: Ros
 
 def test_what_legs_kept_is_handed_in_at_the_end_too(ros: Ros) -> None:
     """A push that a dead table never heard is said again at once when a leg ends."""
-    patient = {name: {"table_patience": 1.5} for name in LEG_NODES}  # longer than legs take to end
+    # Longer than legs take to end.
+    patient: dict[str, Any] = {name: {"table_patience": 1.5} for name in LEG_NODES}
     robot = Robot(ros, walk(), sim_node={"cycles": 10**6, "patience": 5.0}, **patient)
     robot.walk_to(200)
     robot.kill("table_node")
@@ -599,7 +572,7 @@ def test_frozen_legs_come_back_to_a_table_that_comes_back(ros: Ros, tmp_path: Pa
     robot.walk_to(200)
     shared = robot.start("table_node", table=file).shared
     push = ros.client(topics.PUSH)
-    taught = Push(0, "a teacher", 0, cells_sha256(Params()), (Pair(3, 7, 0.25),))
+    taught = UpdateBatch(0, "a teacher", 0, cells_sha256(Params()), (TDUpdate(3, 7, 0.25),))
     assert ros.call(push, calls.write_push(taught)).result.successful
     ros.spin_until(lambda: shared.table.visits[7] == 1, "somebody pulls")
     legs = [node.module.copy.table for name, node in robot.nodes.items() if name in LEG_NODES]
@@ -622,7 +595,7 @@ def test_a_new_world_begins_time_anew_and_legs_go_on(ros: Ros) -> None:
         commands[leg].clear()
     robot.start("sim_node", cycles=CYCLES)
     robot.walk_to(5)
-    robot.finish()
+    robot.run()
     assert len(robot.sim.recorder.body_rows()) == CYCLES
     assert not any(robot.sim.recorder.summary()["absent_ticks"].values())
     falls += robot.sim.recorder.summary()["falls"]
@@ -634,7 +607,7 @@ def test_a_new_world_begins_time_anew_and_legs_go_on(ros: Ros) -> None:
 def test_a_leg_in_a_new_life_lays_no_pair_twice() -> None:
     """After time began anew a pull takes away what is merged, not what was pushed first."""
     table, sha = empty_table(Params()), "cells"
-    shared = SharedTable(table, cells=sha, rate=Params().walk.rate)
+    shared = SharedTable(table, legs=4, cells=sha, rate=Params().walk.rate)
     copy = LocalCopy(
         empty_table(Params()), leg=0, run="one", cells=sha, rate=Params().walk.rate, sync_every=32
     )
@@ -642,9 +615,9 @@ def test_a_leg_in_a_new_life_lays_no_pair_twice() -> None:
     def epoch(first: int, last: int) -> None:
         upto = copy.pull_due(first)
         if upto is not None:
-            copy.take(shared.pull(copy.version, upto), upto)
+            copy.apply(shared.pull(copy.version, upto), upto)
         for tick in range(first, last + 1):
-            copy.learn(Pair(tick, tick % 7, tick / 9))
+            copy.learn(TDUpdate(tick, tick % 7, tick / 9))
         copy.close_epoch(last)
         while (push := copy.push_due()) is not None:
             shared.push(push)
@@ -653,7 +626,7 @@ def test_a_leg_in_a_new_life_lays_no_pair_twice() -> None:
     for n in range(3):
         epoch(32 * n, 32 * n + 31)
     epoch(96, 100)
-    copy.restart(100, "two")
+    copy.reset(100, "two")
     for n in range(5):
         epoch(32 * n, 32 * n + 31)
         assert copy.table.visits.sum() == 101 + 32 * (n + 1)
@@ -680,16 +653,16 @@ def test_learning_is_switched_off_for_the_whole_robot(ros: Ros) -> None:
 
 def test_in_real_time_nobody_is_waited_for(ros: Ros) -> None:
     """A leg that is gone stops nothing and is named; the world is never faster than the wall."""
-    plan = dataclasses.replace(walk(), params=params(gait__period=0.1))
+    config = dataclasses.replace(walk(), params=changed(Params(), gait__period=0.1))
     began = time.monotonic()
-    robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000, "patience": 1000.0})
+    robot = Robot(ros, config, sim_node={"mode": "realtime", "cycles": 1000, "patience": 1000.0})
     diagnostics = ros.messages(topics.DIAGNOSTICS)
     robot.walk_to(20)
     robot.kill("leg_front_right")
     died = robot.tick
     robot.walk_to(died + 64)
     elapsed = time.monotonic() - began
-    assert robot.tick <= elapsed / plan.params.gait.tick_s + 1
+    assert robot.tick <= elapsed / config.params.gait.tick_s + 1
     ros.spin_until(
         lambda: level(diagnostics[-1], "front_right") == (DiagnosticStatus.ERROR, "absent"),
         "diagnostics say who is absent",
@@ -701,7 +674,7 @@ def test_in_real_time_lateness_is_counted_and_told_now_and_then(
     ros: Ros, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """A leg that is gone and comes back is a line a window, not a line a tick."""
-    monkeypatch.setattr("sim_node.node.SAY_S", 0.5)
+    monkeypatch.setattr("sim_node.reports.LOG_WINDOW_S", 0.5)
     said: list[str] = []
 
     def log() -> list[str]:
@@ -711,14 +684,14 @@ def test_in_real_time_lateness_is_counted_and_told_now_and_then(
     def told(text: str) -> list[str]:
         return [line for line in log() if text in line]
 
-    plan = dataclasses.replace(walk(), params=params(gait__period=1.0))
-    robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000})
+    config = dataclasses.replace(walk(), params=changed(Params(), gait__period=1.0))
+    robot = Robot(ros, config, sim_node={"mode": "realtime", "cycles": 1000})
     robot.walk_to(5)
     robot.kill("leg_front_right")
-    ros.spin_until(lambda: len(told("command in time: ")) > 1, "who is late is told")
+    ros.spin_until(lambda: len(told("command was late: ")) > 1, "who is late is told")
     robot.start("leg_front_right")
-    ros.spin_until(lambda: told("all legs are in time again"), "that nobody is late any more")
-    counts = [re.search(r"front_right (\d+)", line) for line in told("command in time: ")]
+    ros.spin_until(lambda: told("all legs are on time again"), "that nobody is late any more")
+    counts = [re.search(r"front_right (\d+)", line) for line in told("command was late: ")]
     assert any(count and int(count[1]) > 1 for count in counts)
     assert not told("is back")
 
@@ -731,8 +704,8 @@ def test_a_walk_says_that_it_begins_and_what_came_of_it(
         spun(graph)
         falls = graph.sim.world.body().falls
     lines = capfd.readouterr().err.splitlines()
-    (began,) = (line for line in lines if "walker begins" in line)
-    assert began.endswith(f"walker begins: {', '.join(LEGS)}; lockstep, 8 cycles")
+    (began,) = (line for line in lines if "walker starts" in line)
+    assert began.endswith(f"walker starts: {', '.join(LEGS)}; lockstep, 8 cycles")
     (ended,) = (line for line in lines if "walker ended" in line)
     assert ended.endswith(f"walker ended after 8 cycles, {falls} falls")
 
@@ -741,8 +714,8 @@ def test_in_real_time_the_world_stands_still_without_a_phase_and_goes_on_with_on
     ros: Ros,
 ) -> None:
     """The phase is what time is for the legs: without it nothing is stepped, in any mode."""
-    plan = dataclasses.replace(walk(), params=params(gait__period=0.1))
-    robot = Robot(ros, plan, sim_node={"mode": "realtime", "cycles": 1000})
+    config = dataclasses.replace(walk(), params=changed(Params(), gait__period=0.1))
+    robot = Robot(ros, config, sim_node={"mode": "realtime", "cycles": 1000})
     robot.walk_to(20)
     robot.kill("cpg_node")
     ticks = itertools.count()

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from leg_node.inbox import KEPT, Inbox
+from ember_ros.inbox import KEPT, Inbox
 
 SOURCES = ("joints", "contact", "phase")
 few = settings(max_examples=100, deadline=None, derandomize=True)
@@ -21,7 +21,7 @@ def hear(inbox: Inbox, source: str, tick: int) -> list[tuple[str, ...]]:
     """Put what a source says, as a leg does, and return the ticks that became complete."""
     done = []
     if inbox.put(source, tick, value(source, tick)):
-        while (values := inbox.take(inbox.last + 1)) is not None:
+        while (values := inbox.pop(inbox.last + 1)) is not None:
             done.append(values)
     return done
 
@@ -68,7 +68,7 @@ def test_nothing_of_another_tick_is_ever_used(heard: list[tuple[str, int]]) -> N
     taken = []
     for source, tick in heard:
         inbox.put(source, tick, value(source, tick))
-        values = inbox.take(tick)
+        values = inbox.pop(tick)
         if values is not None:
             assert values == complete(tick)
             taken.append(tick)
@@ -80,11 +80,11 @@ def test_an_incomplete_tick_is_not_there() -> None:
     inbox = Inbox(*SOURCES)
     inbox.put("joints", 0, "a")
     inbox.put("phase", 0, "b")
-    assert inbox.take(0) is None
+    assert inbox.pop(0) is None
     assert inbox.last == -1
     inbox.put("contact", 0, "c")
-    assert inbox.take(0) == ("a", "c", "b")
-    assert inbox.take(0) is None
+    assert inbox.pop(0) == ("a", "c", "b")
+    assert inbox.pop(0) is None
 
 
 def test_what_is_stale_is_refused() -> None:
@@ -92,11 +92,11 @@ def test_what_is_stale_is_refused() -> None:
     inbox = Inbox(*SOURCES)
     for source in SOURCES:
         assert inbox.put(source, 3, 0)
-    inbox.take(3)
+    inbox.pop(3)
     assert not inbox.put("joints", 3, 0)
     assert not inbox.put("joints", 0, 0)
     assert inbox.put("joints", 4, 0)
-    assert inbox.later("joints") == [4]
+    assert inbox.pending("joints") == [4]
 
 
 def test_the_last_value_of_a_tick_counts() -> None:
@@ -104,7 +104,7 @@ def test_the_last_value_of_a_tick_counts() -> None:
     inbox = Inbox("one")
     inbox.put("one", 0, "first")
     inbox.put("one", 0, "second")
-    assert inbox.take(0) == ("second",)
+    assert inbox.pop(0) == ("second",)
 
 
 def test_ticks_may_be_missed() -> None:
@@ -115,8 +115,8 @@ def test_ticks_may_be_missed() -> None:
     for source in SOURCES:
         inbox.put(source, 7, source)
     inbox.put("phase", 8, 0)
-    assert inbox.take(7) == SOURCES
-    assert [inbox.later(source) for source in SOURCES] == [[], [], [8]]
+    assert inbox.pop(7) == SOURCES
+    assert [inbox.pending(source) for source in SOURCES] == [[], [], [8]]
 
 
 def test_stamps_of_the_far_future_do_not_stay() -> None:
@@ -127,7 +127,7 @@ def test_stamps_of_the_far_future_do_not_stay() -> None:
         for source in SOURCES:
             done += hear(inbox, source, tick)
     assert done == [complete(tick) for tick in range(100)]
-    assert len(inbox.later("joints")) <= KEPT
+    assert len(inbox.pending("joints")) <= KEPT
 
 
 def test_memory_is_bounded() -> None:
@@ -135,7 +135,7 @@ def test_memory_is_bounded() -> None:
     inbox = Inbox(*SOURCES)
     for tick in range(10_000):
         inbox.put("joints", tick, 0)
-    assert inbox.later("joints") == list(range(10_000 - KEPT, 10_000))
+    assert inbox.pending("joints") == list(range(10_000 - KEPT, 10_000))
 
 
 def through(inbox: Inbox, *ticks: int) -> None:
@@ -143,20 +143,20 @@ def through(inbox: Inbox, *ticks: int) -> None:
     for tick in ticks:
         for source in SOURCES:
             inbox.put(source, tick, value(source, tick))
-        inbox.take(tick)
+        inbox.pop(tick)
 
 
 def test_a_new_world_begins_anew() -> None:
     """When all sources speak of one tick from before, time begins anew, and ticks count again."""
     inbox = Inbox(*SOURCES)
     through(inbox, 40, 41)
-    assert not inbox.began_anew()
+    assert not inbox.time_restarted()
     for source in SOURCES:
-        assert not inbox.began_anew()
+        assert not inbox.time_restarted()
         assert not inbox.put(source, 0, value(source, 0))
-    assert inbox.began_anew()
+    assert inbox.time_restarted()
     assert inbox.last < 0
-    assert not inbox.began_anew()
+    assert not inbox.time_restarted()
     through(inbox, 0, 1)
     assert inbox.last == 1
 
@@ -167,8 +167,8 @@ def test_the_first_tick_of_a_new_world_is_complete() -> None:
     through(inbox, 40, 41)
     for source in SOURCES:
         inbox.put(source, 0, value(source, 0))
-    assert inbox.began_anew()
-    assert inbox.take(0) == complete(0)
+    assert inbox.time_restarted()
+    assert inbox.pop(0) == complete(0)
 
 
 @pytest.mark.parametrize("late", [(40, 40, 41), (40, 39, 38), (41, 41, 41)])
@@ -178,7 +178,7 @@ def test_late_repetitions_are_no_new_world(late: tuple[int, int, int]) -> None:
     through(inbox, 40, 41)
     for source, tick in zip(SOURCES, late, strict=True):
         inbox.put(source, tick, "again")
-    assert not inbox.began_anew()
+    assert not inbox.time_restarted()
     assert inbox.last == 41
 
 
@@ -189,4 +189,4 @@ def test_old_repetitions_do_not_add_up_to_a_new_world() -> None:
     for n, source in enumerate(SOURCES):
         inbox.put(source, 10, "again")
         through(inbox, 12 + n)
-    assert not inbox.began_anew()
+    assert not inbox.time_restarted()

@@ -8,17 +8,15 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
 from ember_ros import topics
-from ember_ros.bag.reading import Bag
+from ember_ros.bag.reader import Bag
+from ember_ros.entry_points import NODES
+from support.ros import Ros, reserved_domain
 
-if TYPE_CHECKING:
-    from test.conftest import Ros
-
-NODES = ("sim_node", "leg_node", "cpg_node", "table_node", "recorder_node")
 ARGUMENTS = {
     "sim_node": ("-p", "world:=trainer"),
     "leg_node": ("-p", "leg:=leg", "-p", "stage:=train"),
@@ -87,11 +85,12 @@ def ended(process: subprocess.Popen[str]) -> Ended:
         out, error = process.communicate(timeout=STOP_S)
     except subprocess.TimeoutExpired:
         process.kill()
-        process.communicate()
+        process.communicate(timeout=STOP_S)
         raise
     return Ended(process.returncode, out, error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("homeless", [False, True], ids=["at home", "without a home"])
 def test_nodes_walk_as_one_robot_and_stop_with_a_signal(
     ros: Ros, prefix: Path, tmp_path: Path, homeless: bool
@@ -134,7 +133,7 @@ def test_nodes_walk_as_one_robot_and_stop_with_a_signal(
         for process in running.values():
             if process.poll() is None:
                 process.kill()
-            process.communicate()
+            process.communicate(timeout=STOP_S)
     for name, end in ends.items():
         assert end.code == 0, f"{name}: {end.error}"
         for word in ("Traceback", "KeyboardInterrupt", "Exception"):
@@ -160,15 +159,16 @@ WRONG = {
 def mistakes(prefix: Path) -> dict[str, Ended]:
     """Start a node with each mistake, all at once: most of it is waiting for imports."""
     files = executables(prefix)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", "0")  # they end before they say anything
+    with reserved_domain() as domain, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(domain))
         running = {
             what: start(files[name], "--ros-args", *arguments)
             for what, (name, arguments, _) in WRONG.items()
         }
-    return {what: ended(process) for what, process in running.items()}
+        return {what: ended(process) for what, process in running.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", WRONG)
 def test_a_mistake_is_one_line_and_code_2(mistakes: dict[str, Ended], what: str) -> None:
     """No traceback: one line that begins with ``error:`` and names what was wrong.

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
-from ember_ros.cli import main
 from ember_ros.experiments.reproduction import RESULTS
 from ember_ros.params import Params
+from support.command import ember
+from support.legs import beat
+from support.needs import needs_bullet
 
-pytestmark = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is missing")
+pytestmark = needs_bullet
 
 PARAMS = Params()
 CYCLES = 20
@@ -37,6 +38,7 @@ def test_what_slides_goes_as_far_in_every_direction_and_straight() -> None:
     assert spread(list(ways)) > 0.1 * min(ways)
 
 
+@pytest.mark.slow
 def test_walkers_turn_alike_whatever_their_heading() -> None:
     """Eight headings: the same walk, turned. By the world's axes they part at once."""
     from ember_ros.experiments.isotropy import headings, walk
@@ -58,26 +60,24 @@ def test_a_walker_keeps_its_heading_when_it_falls() -> None:
     world = WalkerWorld(replace(PARAMS, {"walker.fall_height": 0.9}), heading=2.0)
     try:
         for tick in range(PARAMS.gait.ticks):
-            world.step(tick / PARAMS.gait.ticks, [None] * 4)
+            world.step(beat(tick), [None] * 4)
         assert world.body().falls == 1
-        world.step(1.0, [None] * 4)
+        world.step(beat(32), [None] * 4)
         # It stands for a tick, and its twist turns it a little.
         assert world.body().yaw == pytest.approx(2.0, abs=0.05)
     finally:
         world.close()
 
 
+@pytest.mark.slow
 def test_the_experiment_writes_what_its_page_says(tmp_path: Path) -> None:
     """By the command, small; and its page is made again from its numbers alone."""
-    words = ["experiment", "isotropy", "--out", str(tmp_path), "--trials", str(tmp_path / "trials")]
-    with pytest.raises(SystemExit) as ended:
-        main([*words, "--cycles", "4", "--walk-cycles", "20"])
-    assert ended.value.code == 0
+    words = ("experiment", "isotropy", "--out", tmp_path, "--trials", tmp_path / "trials")
+    assert ember(*words, "--cycles", 4, "--walk-cycles", 4) == 0
     found = json.loads((tmp_path / RESULTS / "isotropy.json").read_text())
     assert [len(found["walks"][f"{who}/robot"]) for who in ("scripted", "trained")] == [8, 8]
     page = tmp_path / RESULTS / "isotropy.md"
     before = page.read_text()
     page.write_text("")
-    with pytest.raises(SystemExit):
-        main([*words, "--redraw"])
+    assert ember(*words, "--redraw") == 0
     assert page.read_text() == before

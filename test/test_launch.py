@@ -19,7 +19,10 @@ from typing import Any
 import pytest
 import yaml
 
-from ember_ros.signals import LEGS, TRAINER_LEG
+from ember_ros.errors import ParameterError
+from ember_ros.params import TRAINER_LEG
+from ember_ros.params_file import CONFIG, load_params
+from support.legs import LEGS
 
 LAUNCH = Path(__file__).resolve().parents[1] / "ember_ros" / "launch"
 FILES = sorted(path.name for path in LAUNCH.glob("*.launch.py"))
@@ -276,7 +279,7 @@ def test_a_launch_file_starts_the_whole_graph(file: str) -> None:
     assert {node.package for node in launched.nodes.values()} == {"ember_ros"}
     assert launched.parameters == {
         "sim_node": [{"world": world}],
-        "cpg_node": [],
+        "cpg_node": [{"world": world}],
         "table_node": [{"stage": stage}],
         **{f"leg_{leg}": [{"leg": leg, "stage": stage}] for leg in legs},
     }
@@ -343,14 +346,51 @@ def test_examples_in_docs_name_arguments_that_are(file: str) -> None:
         Launched(file, **given)
 
 
-def test_namespace_and_parameter_file_are_every_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_namespace_and_parameter_file_are_every_nodes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The file comes before the arguments, so that these win; its ~ is somebody's home."""
-    monkeypatch.setenv("HOME", "/home/somebody")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "p.yaml").write_text("/**:\n  ros__parameters:\n    patience: 2.0\n")
     launched = Launched("walk.launch.py", namespace="robot", params_file="~/p.yaml", seed="3")
     assert {node.namespace for node in launched.nodes.values()} == {"robot"}
     for parameters in launched.parameters.values():
-        assert parameters[0] == "/home/somebody/p.yaml"
+        assert parameters[0] == str(tmp_path / "p.yaml")
     assert launched.parameters["sim_node"][1] == {"world": "walker", "seed": 3}
+
+
+def test_there_is_a_node_for_every_leg_that_the_parameter_file_describes() -> None:
+    """Six legs of a hexapod; on the trainer one, whatever the file says."""
+    file = str(CONFIG / "hexapod.yaml")
+    six = load_params("hexapod").robot.legs
+    assert len(six) == 6
+    for name, legs in (("walk.launch.py", six), ("train.launch.py", (TRAINER_LEG,))):
+        launched = Launched(name, params_file=file)
+        found = [each for each in launched.nodes if each.startswith("leg_")]
+        assert found == [f"leg_{leg}" for leg in legs]
+        for leg in legs:
+            parameters = launched.parameters[f"leg_{leg}"]
+            assert parameters == [file, {"leg": leg, "stage": WHOLE[name][1]}]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (None, "No such file"),
+        ("/**: [", "not YAML"),
+        ("/**:\n  ros__parameters:\n    robot:\n      legs: [Left]\n", "robot.legs must be a name"),
+        ("/**:\n  ros__parameters:\n    robot:\n      legs: [leg, a b]\n", "not 'a b'"),
+    ],
+)
+def test_a_parameter_file_whose_legs_are_not_known_starts_nothing(
+    tmp_path: Path, text: str | None, says: str
+) -> None:
+    """Nobody knows which nodes there should be: it is said before the first one is started."""
+    file = tmp_path / "p.yaml"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(ParameterError, match=says):
+        Launched("walk.launch.py", params_file=str(file))
 
 
 def test_the_trainer_is_no_walker() -> None:

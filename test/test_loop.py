@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,24 +12,25 @@ import pytest
 
 from ember_ros.errors import ParameterError, TableError
 from ember_ros.loop import Loop
-from ember_ros.params import Params, replace
+from ember_ros.params import TRAINER_LEG, Params, replace
 from ember_ros.params_file import load_params
-from ember_ros.plan import Plan, make_world
-from ember_ros.report.recorder import Recorder
-from ember_ros.signals import LEGS, TRAINER_LEG, BodyState, LegCommand, LegSense, Transition
-from leg_node.gait import LegGait
-from leg_node.module import LegModule
-from leg_node.reward import Rewarder
-from leg_node.state import Partition
-from leg_node.table import Table, empty_table
+from ember_ros.report.run_statistics import RunStatistics
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import LegSense
+from ember_ros.worlds import make_world
+from leg_node.assembly import empty_table
 from leg_node.table_file import save_table
 from sim_node.fake import FakeWorld
+from support.gaits import PlainGait
+from support.learning import literally
+from support.legs import LEGS, beat
+from support.needs import needs_bullet
+from support.runs import Heard
 
 PARAMS = load_params("plain")
 TICKS = PARAMS.gait.ticks
 EAGER = replace(PARAMS, {"walk.epsilon_start": 0.3, "walk.epsilon_end": 0.3})
 
-needs_bullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is missing")
 bullet_worlds = [pytest.param(where, marks=needs_bullet) for where in ("trainer", "walker")]
 every_world = pytest.mark.parametrize("where", ["fake", *bullet_worlds])
 two_worlds = pytest.mark.parametrize("where", ["fake", bullet_worlds[1]])
@@ -52,22 +52,22 @@ class Ran(NamedTuple):
 
 
 @contextmanager
-def looping(where: str, cycles: int, **plan: Any) -> Iterator[Loop]:
+def looping(where: str, cycles: int, **config: Any) -> Iterator[Loop]:
     """Give a loop in a world, the fake one with a fall now and then, and close it."""
     world = None
     if where == "fake":
-        world = FakeWorld(LEGS, plan.get("params", PARAMS), falls_at={50, 51, 200})
-    loop = Loop(Plan("trainer" if where == "trainer" else "walker", cycles, **plan), world)
+        world = FakeWorld(LEGS, config.get("params", PARAMS), falls_at={50, 51, 200})
+    loop = Loop(RunConfig("trainer" if where == "trainer" else "walker", cycles, **config), world)
     try:
         yield loop
     finally:
         loop.close()
 
 
-def run(where: str, cycles: int, *, extra: int = 0, **plan: Any) -> Ran:
+def run(where: str, cycles: int, *, extra: int = 0, **config: Any) -> Ran:
     """Run a plan, and some ticks more, and bring everything home."""
-    with looping(where, cycles, **plan) as loop:
-        recorder = Recorder(plan.get("params", PARAMS), loop.world.legs)
+    with looping(where, cycles, **config) as loop:
+        recorder = RunStatistics(config.get("params", PARAMS), loop.world.legs)
         for _ in range(cycles * TICKS + extra):
             loop.tick(recorder)
         recorder.finish(loop.world.observe(), loop.world.body())
@@ -149,8 +149,8 @@ def test_the_script_walks_on_the_trainer() -> None:
 @every_world
 def test_frozen_learning_leaves_the_table(where: str, tmp_path: Path) -> None:
     """A table given, learning off: what ends is what began, and its use does not change it."""
-    plan: dict[str, Any] = {"policy": "random", "seed": 4}
-    with looping(where, 3, **plan) as loop:
+    config: dict[str, Any] = {"policy": "random", "seed": 4}
+    with looping(where, 3, **config) as loop:
         for _ in range(3 * TICKS):
             loop.tick()
         table = loop.finish()
@@ -178,41 +178,23 @@ def test_a_table_is_used_from_the_first_tick(tmp_path: Path) -> None:
 def test_a_wrong_table_is_refused_before_the_run(tmp_path: Path) -> None:
     """A missing table, or one of another partition, never becomes an empty one."""
     with pytest.raises(TableError, match="there is no table"):
-        Loop(Plan("walker", 1, table=tmp_path / "none.npz"), FakeWorld(LEGS))
+        Loop(RunConfig("walker", 1, table=tmp_path / "none.npz"), FakeWorld(LEGS))
     params = replace(PARAMS, {"state.hip_bins": 5})
     save_table(tmp_path / "other.npz", empty_table(params), params, 0)
     with pytest.raises(TableError, match=r"other\.npz"):
-        Loop(Plan("walker", 1, table=tmp_path / "other.npz"), FakeWorld(LEGS))
+        Loop(RunConfig("walker", 1, table=tmp_path / "other.npz"), FakeWorld(LEGS))
 
 
 # -- sharing -------------------------------------------------------------------------------------
-
-
-class Heard:
-    """An observer that keeps everything."""
-
-    def __init__(self) -> None:
-        self.phases: list[float] = []
-        self.senses: list[tuple[LegSense, ...]] = []
-        self.commands: list[list[LegCommand]] = []
-        self.bodies: list[BodyState] = []
-        self.transitions: list[list[Transition]] = []
-
-    def tick(
-        self, phase: float, senses: Any, commands: Any, body: BodyState, transitions: Any
-    ) -> None:
-        """Keep a tick."""
-        self.phases.append(phase)
-        self.senses.append(tuple(senses))
-        self.commands.append(list(commands))
-        self.bodies.append(body)
-        self.transitions.append(list(transitions))
 
 
 class PaidForSpeed:
     """A reward of one's own: the knee's speed, and a fine in stance."""
 
     names = ("speed", "fine")
+
+    def __init__(self, params: Params) -> None:
+        """Take nothing from the parameters."""
 
     def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
         """Return both."""
@@ -221,11 +203,9 @@ class PaidForSpeed:
 
 def test_what_is_reported_is_what_was_paid() -> None:
     """Legs of another reward are reported by it, term by term, not by the paper's."""
-    with looping("fake", 2, policy="random") as loop:
-        loop.legs = [
-            LegModule(PARAMS, leg, policy="random", rewarder=PaidForSpeed()) for leg in LEGS
-        ]
-        heard, recorder = Heard(), Recorder(PARAMS, LEGS)
+    params = replace(PARAMS, {"parts.reward": f"{__name__}.PaidForSpeed"})
+    with looping("fake", 2, policy="random", params=params) as loop:
+        heard, recorder = Heard(), RunStatistics(PARAMS, LEGS)
         for _ in range(2 * TICKS):
             loop.tick(heard, recorder)
         recorder.finish(loop.world.observe(), loop.world.body())
@@ -233,7 +213,7 @@ def test_what_is_reported_is_what_was_paid() -> None:
         for place in range(4):
             for senses, paid in zip(heard.senses, heard.transitions, strict=True):
                 did, sense = paid[place], senses[place]
-                assert did.credited is (sense.tick > 0 and not sense.restart)
+                assert did.credited is (sense.tick > 0 and not sense.first_tick)
                 if did.credited:
                     terms = {"speed": abs(sense.knee_speed), "fine": -0.5 if did.stance else 0.0}
                     assert dict(did.terms) == terms
@@ -246,6 +226,23 @@ def test_what_is_reported_is_what_was_paid() -> None:
     assert first["reward"] == pytest.approx(rows[0].reward)
     assert first["reward"] == pytest.approx(sum(first["reward_by_term"].values()))
     assert first["reward_by_term"]["fine"] < 0.0 < first["reward_by_term"]["speed"]
+
+
+class Misspelt(PaidForSpeed):
+    """A reward of one's own with a slip of the pen."""
+
+    names = ("sped", "fine")
+
+
+def test_a_term_that_nobody_knows_is_not_left_out_in_silence() -> None:
+    """What would not be paid is told at the first tick that is credited, with the names."""
+    params = replace(PARAMS, {"parts.reward": f"{__name__}.Misspelt"})
+    with looping("fake", 1, params=params) as loop:
+        loop.tick()
+        with pytest.raises(
+            ParameterError, match=r"Misspelt gives the terms speed.*of its names, sped, fine, would"
+        ):
+            loop.tick()
 
 
 @two_worlds
@@ -262,7 +259,7 @@ def test_everything_comes_home(where: str, sync_every: int, extra: int) -> None:
         for _ in range(9 * TICKS + extra):
             loop.tick(heard)
         table = loop.finish()
-    updates = sum(not sense.restart for senses in heard.senses[1:] for sense in senses)
+    updates = sum(not sense.first_tick for senses in heard.senses[1:] for sense in senses)
     assert updates <= 4 * (9 * TICKS + extra - 1)
     assert (updates < 4 * (9 * TICKS + extra - 1)) == any(body.falls for body in heard.bodies)
     assert int(table.visits.sum()) == updates
@@ -289,42 +286,12 @@ def test_a_lone_leg_does_not_notice_sharing(sync_every: int) -> None:
     params = replace(PARAMS, {"train.sync_every": sync_every})
     runs = []
     for each in (params, PARAMS):
-        loop = Loop(Plan("trainer", 6, params=each), FakeWorld((TRAINER_LEG,), each))
+        loop = Loop(RunConfig("trainer", 6, params=each), FakeWorld((TRAINER_LEG,), each))
         heard = Heard()
         for _ in range(6 * TICKS):
             loop.tick(heard)
         runs.append((loop.finish().sha256(), heard.commands))
     assert runs[0] == runs[1]
-
-
-def paid(rewarder: Rewarder, sense: LegSense, stance: bool) -> float:
-    """Return the reward: its terms added one after the other, as no ``sum`` of Python 3.12 does."""
-    total = 0.0
-    for value in rewarder.terms(sense, stance).values():
-        total += value
-    return total
-
-
-def literally(heard: Heard, params: Params) -> Table:
-    """Return what four legs write into one table, tick by tick, leg by leg, from what was heard."""
-    table, learning = empty_table(params), params.walk
-    partition, rewarder = Partition(params), Rewarder(params)
-    gaits = [LegGait(params.gait, leg) for leg in LEGS]
-    speeds = params.leg.knee_speeds
-    for before, after in zip(range(len(heard.phases)), range(1, len(heard.phases)), strict=False):
-        pairs = []
-        for n, gait in enumerate(gaits):
-            old, new = heard.senses[before][n], heard.senses[after][n]
-            if new.restart:
-                continue
-            was, now = (gait.stance(heard.phases[tick]) for tick in (before, after))
-            action = speeds.index(heard.commands[before][n].knee_speed)
-            cell = partition.index(old, was) * len(speeds) + action
-            best = max(table.row(partition.index(new, now)))
-            pairs.append((cell, paid(rewarder, new, was) + learning.gamma * best))
-        for cell, target in pairs:
-            table.update(cell, target, learning.rate)
-    return table
 
 
 @two_worlds
@@ -336,7 +303,7 @@ def test_a_sync_every_tick_is_a_literally_shared_table(where: str) -> None:
         for _ in range(8 * TICKS):
             loop.tick(heard)
         table = loop.finish()
-    assert table.sha256() == literally(heard, params).sha256()
+    assert table.sha256() == literally([heard.seen], params).sha256()
 
 
 def test_legs_learn_from_each_other() -> None:
@@ -356,16 +323,16 @@ def test_legs_learn_from_each_other() -> None:
 
 
 def test_a_tick_is_of_one_tick() -> None:
-    """Phase, senses and commands that an observer hears all carry the same tick."""
+    """Beat, senses and commands that an observer hears all carry the same tick."""
     with looping("fake", 3) as loop:
         heard = Heard()
         for _ in range(3 * TICKS):
             loop.tick(heard)
         assert loop.now == 3 * TICKS
-    for tick, (phase, senses, commands) in enumerate(
+    for tick, (heard_beat, senses, commands) in enumerate(
         zip(heard.phases, heard.senses, heard.commands, strict=True)
     ):
-        assert phase == tick / TICKS
+        assert heard_beat == beat(tick)
         assert {sense.tick for sense in senses} == {command.tick for command in commands} == {tick}
 
 
@@ -376,7 +343,7 @@ def test_a_leg_s_name_and_place_go_with_its_senses() -> None:
         for _ in range(TICKS):
             loop.tick()
         for leg, sense in zip(LEGS, loop.world.observe(), strict=True):
-            goal = LegGait(PARAMS.gait, leg).hip_goal((TICKS - 1) / TICKS)
+            goal = PlainGait(PARAMS, leg).hip_goal(TICKS - 1)
             assert sense.hip == pytest.approx(goal, abs=0.01)
 
 
@@ -385,8 +352,11 @@ def test_a_leg_s_name_and_place_go_with_its_senses() -> None:
 
 def test_plans_name_their_legs_and_stage() -> None:
     """The trainer has one leg and trains it; the walker has four and walks."""
-    assert (Plan("trainer", 1).legs, Plan("trainer", 1).stage) == ((TRAINER_LEG,), "train")
-    assert (Plan("walker", 1).legs, Plan("walker", 1).stage) == (LEGS, "walk")
+    assert (RunConfig("trainer", 1).legs, RunConfig("trainer", 1).stage) == (
+        (TRAINER_LEG,),
+        "train",
+    )
+    assert (RunConfig("walker", 1).legs, RunConfig("walker", 1).stage) == (LEGS, "walk")
 
 
 @pytest.mark.parametrize(
@@ -400,7 +370,7 @@ def test_plans_name_their_legs_and_stage() -> None:
 def test_a_wrong_plan_is_refused(wrong: dict[str, Any], says: str) -> None:
     """A plan that cannot be run says why when it is made."""
     with pytest.raises(ParameterError, match=says):
-        Plan(**{"world": "walker", "cycles": 1, **wrong})
+        RunConfig(**{"world": "walker", "cycles": 1, **wrong})
 
 
 def test_a_wrong_world_is_refused() -> None:
@@ -421,4 +391,4 @@ def test_without_pybullet_a_world_says_what_to_install(monkeypatch: pytest.Monke
 def test_a_wrong_policy_is_refused() -> None:
     """The loop is not built around a leg that cannot be."""
     with pytest.raises(ParameterError, match="no policy 'best'"):
-        Loop(Plan("walker", 1, policy="best"), FakeWorld(LEGS))
+        Loop(RunConfig("walker", 1, policy="best"), FakeWorld(LEGS))

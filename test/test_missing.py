@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-ROS = find_spec("rclpy") is not None
+from ember_ros.entry_points import NODES
+from support.command import child, nobody_reads
 
 WALL = """
 import importlib.abc, runpy, sys
@@ -33,9 +31,9 @@ WALK = (
     WALL
     + """
 from ember_ros.graph import Graph
-from ember_ros.plan import Plan
+from ember_ros.run_config import RunConfig
 from sim_node.fake import FakeWorld
-graph = Graph(Plan("walker", 2), world=FakeWorld())
+graph = Graph(RunConfig("walker", 2), world=FakeWorld())
 graph.run()
 print(graph.sim.tick)
 graph.close()
@@ -43,19 +41,9 @@ graph.close()
 )
 
 
-def without(
-    hidden: str, script: str, *args: str, domain: int = 0
-) -> subprocess.CompletedProcess[str]:
+def without(hidden: str, script: str, *args: str) -> subprocess.CompletedProcess[str]:
     """Run a script in a Python that lacks some libraries."""
-    return subprocess.run(
-        [sys.executable, "-c", script, hidden, *args],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "ROS_DOMAIN_ID": str(domain)},
-        check=False,
-        timeout=60.0,
-    )
+    return child([sys.executable, "-c", script, hidden, *args])
 
 
 @pytest.mark.parametrize(
@@ -69,22 +57,36 @@ def without(
 )
 def test_ember_names_the_library_it_lacks(library: str, pip: str, apt: str) -> None:
     """One line with both ways to get it, and the code of a user's mistake; no traceback."""
-    done = without(library, RUN, "ember_ros", "--help")
+    done = without(library, RUN, "ember_ros", "train")
     assert done.returncode == 2
     assert done.stderr == (
         f"error: {library} is not installed: `pip install {pip}` or `sudo apt install {apt}`\n"
     )
 
 
-@pytest.mark.parametrize("node", ["sim", "leg", "cpg", "table", "recorder"])
+def test_the_help_of_ember_needs_click_alone() -> None:
+    """So that it is there at once: no command is imported, and nothing that one needs."""
+    done = without("rich,numpy,yaml,matplotlib,mcap", RUN, "ember_ros", "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Walk with four legs that carry a body and continue to learn." in done.stdout
+
+
+@pytest.mark.parametrize("node", NODES)
 def test_a_node_says_that_ros_is_not_here(node: str) -> None:
     """Who installed without the extra ``ros`` reads one line, no traceback."""
-    done = without(
-        "rclpy", WALL + f"from ember_ros.entry_points import {node}_node as main; main()"
-    )
+    done = without("rclpy", RUN, "ember_ros", "node", node)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
-    assert line.startswith("error: ROS 2 is not here (No module named 'rclpy'): `pip install ")
+    assert line.startswith("error: ROS 2 is not available (No module named 'rclpy'): `pip install ")
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("node", NODES)
+def test_a_node_is_started_without_what_only_ember_needs(node: str) -> None:
+    """``ember node`` itself asks for nothing that the node does not."""
+    done = without("click,rich,matplotlib,scipy", RUN, "ember_ros", "node", node, "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"usage: {node} ")
 
 
 @pytest.mark.parametrize(
@@ -111,7 +113,7 @@ def test_what_is_needed_in_the_end_is_missed_at_the_start(
     assert not (tmp_path / "bag").exists()
 
 
-@pytest.mark.skipif(not ROS, reason="rclpy is missing")
+@pytest.mark.ros
 @pytest.mark.parametrize("library", ["mcap", "rosbags"])
 @pytest.mark.parametrize(
     ("module", "args"),
@@ -121,53 +123,40 @@ def test_what_is_needed_in_the_end_is_missed_at_the_start(
     ],
 )
 def test_a_node_that_cannot_record_ends_at_once(
-    free_domain: int, tmp_path: Path, library: str, module: str, args: tuple[str, ...]
+    tmp_path: Path, library: str, module: str, args: tuple[str, ...]
 ) -> None:
     """It does not look healthy and record nothing: one line that names the library, and code 2."""
     bag = tmp_path / "bag"
-    done = without(
-        library, RUN, module, "--ros-args", "-p", f"bag:={bag}", *args, domain=free_domain
-    )
+    done = without(library, RUN, module, "--ros-args", "-p", f"bag:={bag}", *args)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert line.startswith(f"error: {library} is not installed, and is needed for bags: `pip ")
     assert not bag.exists()
 
 
-@pytest.mark.skipif(not ROS, reason="rclpy is missing")
-def test_nodes_walk_without_what_only_ember_needs(free_domain: int) -> None:
+@pytest.mark.ros
+def test_nodes_walk_without_what_only_ember_needs() -> None:
     """No node imports what draws, what prints, or what writes bags."""
     hidden = "click,rich,matplotlib,mcap,rosbags,scipy"
-    done = without(hidden, WALK, domain=free_domain)
+    done = without(hidden, WALK)
     assert (done.returncode, done.stdout.strip()) == (0, "64"), done.stderr
 
 
 def test_a_command_whose_standard_streams_are_closed_runs(tmp_path: Path) -> None:
     """``ember train 2>&- <&-``: no file of its own takes their places."""
-    done = subprocess.run(
+    done = child(
         ["sh", "-c", 'exec "$0" -m ember_ros train --cycles 1 --out out 2>&- <&-', sys.executable],
-        stdout=subprocess.PIPE,
-        text=True,
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        check=False,
-        timeout=60.0,
     )
     assert done.returncode == 0
     assert "In out: table.npz" in done.stdout
     assert (tmp_path / "out" / "summary.json").exists()
 
 
-@pytest.mark.skipif(not ROS, reason="rclpy is missing")
+@pytest.mark.ros
 def test_the_help_of_a_node_may_be_cut_off() -> None:
-    """``leg_node --help | head -1``: no traceback."""
-    code = "from ember_ros.entry_points import leg_node; leg_node()"
-    command = [sys.executable, "-c", code, "--help"]
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
-    read, write = os.pipe()
-    os.close(read)
-    done = subprocess.run(
-        command, stdout=write, stderr=subprocess.PIPE, text=True, check=False, env=env, timeout=60.0
-    )
-    os.close(write)
+    """``ember node leg_node --help | head -1``: no traceback."""
+    command = [sys.executable, "-m", "ember_ros", "node", "leg_node", "--help"]
+    with nobody_reads() as pipe:
+        done = child(command, stdout=pipe)
     assert done.stderr == ""

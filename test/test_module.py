@@ -8,15 +8,20 @@ from itertools import pairwise
 import pytest
 
 from ember_ros.errors import ParameterError
-from ember_ros.params import Params, replace
+from ember_ros.params import TRAINER_LEG, Params, replace
 from ember_ros.params_file import load_params
-from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense
-from leg_node.gait import LegGait
+from ember_ros.randomness import generator
+from ember_ros.signals import LegCommand, LegSense, TDUpdate, Transition
+from leg_node.assembly import empty_table, make_leg, make_task, position_of
+from leg_node.discretizer import PaperDiscretizer
 from leg_node.module import LegModule
-from leg_node.reward import Rewarder
-from leg_node.state import Partition
-from leg_node.table import Table, empty_table
+from leg_node.policy import Random
+from leg_node.reward import PaperReward
+from leg_node.table import Table
 from sim_node.fake import FakeWorld
+from support.gaits import PlainGait
+from support.learning import paid
+from support.legs import LEGS, beat
 
 PARAMS = load_params("plain")
 TICKS = PARAMS.gait.ticks
@@ -27,7 +32,7 @@ def module(
     leg: str = TRAINER_LEG, *, params: Params = PARAMS, shared: bool = False, **rest: object
 ) -> LegModule:
     """Return a leg with a table of its own."""
-    return LegModule(params, leg, shared=shared, **rest)  # type: ignore[arg-type]
+    return make_leg(params, leg, shared=shared, **rest)  # type: ignore[arg-type]
 
 
 def live(
@@ -43,14 +48,13 @@ def live(
     world = world or FakeWorld((leg.leg,), PARAMS)
     commands = []
     for tick in range(begin, begin + ticks):
-        phase = tick / TICKS
         (sense,) = world.observe()
         command = None
         if tick not in missed:
-            command = leg.tick(sense, phase)
+            command = leg.tick(sense, beat(tick))
             commands.append(command)
             seen(sense, command)
-        world.step(phase, [command])
+        world.step(beat(tick), [command])
     return commands
 
 
@@ -59,26 +63,18 @@ def visits(leg: LegModule) -> int:
     return int(leg.copy.table.visits.sum())
 
 
-def paid(rewarder: Rewarder, sense: LegSense, stance: bool) -> float:
-    """Return the reward: its terms added one after the other, as no ``sum`` of Python 3.12 does."""
-    total = 0.0
-    for value in rewarder.terms(sense, stance).values():
-        total += value
-    return total
-
-
 # -- learning ------------------------------------------------------------------------------------
 
 
 def test_a_leg_is_q_learning() -> None:
     """400 ticks are one-step Q-learning, written here a second time from senses and commands."""
     leg, plain = module(seed=5), empty_table(PARAMS)
-    partition, rewarder = Partition(PARAMS), Rewarder(PARAMS)
-    gait, numbers = LegGait(PARAMS.gait, TRAINER_LEG), PARAMS.walk
+    partition, rewarder = PaperDiscretizer(PARAMS), PaperReward(PARAMS)
+    gait, numbers = PlainGait(PARAMS), PARAMS.walk
     before: list[tuple[int, int, bool]] = []
 
     def learn(sense: LegSense, command: LegCommand) -> None:
-        stance = gait.stance(sense.tick / TICKS)
+        stance = gait.stance(sense.tick)
         state = partition.index(sense, stance)
         if before:
             old_state, old_action, old_stance = before.pop()
@@ -118,9 +114,9 @@ def test_what_is_done_after_a_restart_is_credited() -> None:
     live(leg, 1, world=world, begin=11)
     changed = (leg.copy.table.visits - before).nonzero()[0]
     (put_down,) = FakeWorld((TRAINER_LEG,), PARAMS).observe()
-    stance = LegGait(PARAMS.gait, TRAINER_LEG).stance(10 / TICKS)
+    stance = PlainGait(PARAMS).stance(10)
     assert sense.tick == 11
-    assert [cell // 9 for cell in changed] == [Partition(PARAMS).index(put_down, stance)]
+    assert [cell // 9 for cell in changed] == [PaperDiscretizer(PARAMS).index(put_down, stance)]
 
 
 @pytest.mark.parametrize("missed", [(10,), (10, 11, 12), tuple(range(5, 25))])
@@ -145,7 +141,7 @@ def test_nothing_is_credited_across_lives() -> None:
     """What was done before a restart of the leg is forgotten, even if ticks seem to go on."""
     leg, world = module(), FakeWorld((TRAINER_LEG,), PARAMS)
     live(leg, 32, world=world)
-    leg.restart(31, "another life")
+    leg.reset(31, "another life")
     live(leg, 1, world=world, begin=32)
     assert visits(leg) == 31
     live(leg, 1, world=world, begin=33)
@@ -188,16 +184,165 @@ def test_the_stage_decides_the_learning_numbers() -> None:
 
 def test_a_leg_learns() -> None:
     """In the fake world, 300 cycles of training earn more a tick than the first ones did."""
-    leg, rewarder, earned = module(stage="train", seed=1), Rewarder(PARAMS), []
-    gait = LegGait(PARAMS.gait, TRAINER_LEG)
+    leg, rewarder, earned = module(stage="train", seed=1), PaperReward(PARAMS), []
+    gait = PlainGait(PARAMS)
 
     def earn(sense: LegSense, command: LegCommand) -> None:
         if sense.tick:
-            earned.append(paid(rewarder, sense, gait.stance((sense.tick - 1) / TICKS)))
+            earned.append(paid(rewarder, sense, gait.stance(sense.tick - 1)))
 
     live(leg, 300 * TICKS, seen=earn)
     first, last = earned[: 30 * TICKS], earned[-30 * TICKS :]
     assert sum(last) / len(last) > sum(first) / len(first) + 0.3
+
+
+# -- transitions ---------------------------------------------------------------------------------
+
+
+def transitions(
+    leg: LegModule, ticks: int, *, falls_at: Sequence[int] = (), missed: Sequence[int] = ()
+) -> list[tuple[Transition, LegSense, LegCommand]]:
+    """Return what a leg says of each tick, with the senses and the command of it."""
+    told = []
+
+    def look(sense: LegSense, command: LegCommand) -> None:
+        told.append((leg.transition, sense, command))
+
+    world = FakeWorld((leg.leg,), PARAMS, falls_at=falls_at)
+    live(leg, ticks, world=world, missed=missed, seen=look)
+    return told
+
+
+def test_transitions_are_a_chain() -> None:
+    """The state and stance in which one ends are those in which the next one begins."""
+    told = transitions(module(policy="random"), 100)
+    partition, gait = PaperDiscretizer(PARAMS), PlainGait(PARAMS)
+    for did, sense, _ in told:
+        assert did.tick == sense.tick
+        assert did.next_stance is gait.stance(sense.tick)
+        assert did.next_state == partition.index(sense, did.next_stance)
+    for (before, _, command), (did, *_) in pairwise(told):
+        assert did.credited
+        assert (did.state, did.stance) == (before.next_state, before.next_stance)
+        assert SPEEDS[did.action] == command.knee_speed
+
+
+def test_where_the_chain_breaks_there_is_nothing_to_credit() -> None:
+    """At the first tick, after a restart and after a gap: where the leg is, and that is all."""
+    told = transitions(module(policy="random"), 40, falls_at=(10,), missed=(20, 21))
+    broken = {did.tick: did for did, *_ in told if not did.credited}
+    assert list(broken) == [0, 10, 22]
+    for did in broken.values():
+        assert (did.state, did.stance, did.action, did.td_error) == (-1, False, -1, 0.0)
+        assert did.terms == tuple((name, 0.0) for name in PaperReward.names)
+        assert did.reward == 0.0
+        assert did.next_state >= 0
+        assert did.next_stance is PlainGait(PARAMS).stance(did.tick)
+
+
+def test_the_error_is_the_target_less_the_value_before() -> None:
+    """What each update was worth, worked out from the table as it was."""
+    leg, before = module(seed=3), empty_table(PARAMS)
+    world = FakeWorld((TRAINER_LEG,), PARAMS)
+    for tick in range(200):
+        live(leg, 1, world=world, begin=tick)
+        did = leg.transition
+        if did.credited:
+            believed = before.cell(did.state * 9 + did.action)[0]
+            best = max(before.row(did.next_state))
+            assert did.td_error == did.reward + PARAMS.walk.gamma * best - believed
+        before.copy_from(leg.copy.table)
+    assert before.visits.sum() == 199
+
+
+def test_without_learning_there_is_a_reward_and_no_error() -> None:
+    """A frozen leg says what it did and what that was worth, and learns nothing of it."""
+    told = transitions(module(learning=False, policy="random"), 60)
+    assert {did.td_error for did, *_ in told} == {0.0}
+    assert sum(did.credited for did, *_ in told) == 59
+    assert any(did.reward for did, *_ in told)
+
+
+class Remembering:
+    """A learner that updates one tick late, and says what it was asked for."""
+
+    def __init__(self) -> None:
+        """Begin with nothing to learn."""
+        self.waiting: list[TDUpdate] = []
+        self.asked: list[str] = []
+
+    def q_values(self, tick: int, state: int) -> list[float]:
+        """Return equal values."""
+        return [0.0] * len(SPEEDS)
+
+    def learn(self, transition: Transition) -> list[TDUpdate]:
+        """Return the update of the transition before."""
+        self.asked.append(f"learn {transition.tick}")
+        due, self.waiting = self.waiting, [TDUpdate(transition.tick, transition.tick, 1.0)]
+        return due
+
+    def reset(self) -> list[TDUpdate]:
+        """Return the update that waits."""
+        self.asked.append("reset")
+        due, self.waiting = self.waiting, []
+        return due
+
+
+def remembering(learning: bool = True) -> tuple[LegModule, Remembering]:
+    """Return a leg with such a learner, and the learner."""
+    learner, like = Remembering(), module(shared=True)
+    leg = LegModule(
+        make_task(PARAMS, TRAINER_LEG),
+        learner=learner,
+        policy=Random(PARAMS, PARAMS.walk, learner.q_values, generator(0, 0)),
+        copy=like.copy,
+        learning=learning,
+        shared=True,
+    )
+    return leg, learner
+
+
+def test_what_waits_is_learnt_where_the_chain_breaks() -> None:
+    """Before a leg that was put down goes on, in its old life, and at its end: nothing is lost."""
+    leg, learner = remembering()
+    world = FakeWorld((TRAINER_LEG,), PARAMS, falls_at={4})
+    live(leg, 7, world=world)
+    assert learner.asked == [
+        "reset", "learn 1", "learn 2", "learn 3", "reset", "learn 5", "learn 6",
+    ]  # fmt: skip
+    assert leg.copy.table.visits.nonzero()[0].tolist() == [1, 2, 3, 5]
+    leg.finish()
+    assert leg.copy.table.visits.nonzero()[0].tolist() == [1, 2, 3, 5, 6]
+    leg.finish()
+    assert visits(leg) == 5
+
+
+def test_a_new_life_ends_the_old_one_first() -> None:
+    """What waited is pushed by the life that did it."""
+    leg, _ = remembering()
+    live(leg, 4)
+    leg.reset(3, "another life")
+    push = leg.copy.push_due()
+    assert push is not None
+    assert push.run == "run"
+    assert [update.cell for update in push.updates] == [1, 2, 3]
+
+
+def test_the_error_is_of_the_last_update_that_was_made() -> None:
+    """Where a learner updates late, 0 while it waits, then that of what it updates."""
+    leg, _ = remembering()
+    errors = []
+    live(leg, 4, seen=lambda sense, command: errors.append(leg.transition.td_error))
+    assert errors == [0.0, 0.0, 1.0, 1.0]
+
+
+def test_a_learner_that_is_off_is_never_asked() -> None:
+    """Not to learn, not to end."""
+    leg, learner = remembering(learning=False)
+    live(leg, 5)
+    leg.finish()
+    leg.reset(4, "another life")
+    assert learner.asked == []
 
 
 # -- acting --------------------------------------------------------------------------------------
@@ -205,7 +350,7 @@ def test_a_leg_learns() -> None:
 
 def test_commands_are_of_their_tick_and_within_what_a_motor_has() -> None:
     """Tick, a knee speed of the list, a hip speed up to its limit, the motors' own torques."""
-    gait = LegGait(PARAMS.gait, TRAINER_LEG)
+    gait = PlainGait(PARAMS)
 
     def look(sense: LegSense, command: LegCommand) -> None:
         assert command.tick == sense.tick
@@ -215,7 +360,7 @@ def test_commands_are_of_their_tick_and_within_what_a_motor_has() -> None:
             PARAMS.leg.hip_torque,
             PARAMS.leg.knee_torque,
         )
-        wanted = (gait.hip_goal(sense.tick / TICKS) - sense.hip) / PARAMS.gait.tick_s
+        wanted = (gait.hip_goal(sense.tick) - sense.hip) / PARAMS.gait.tick_s
         limit = PARAMS.leg.hip_speed_max
         assert command.hip_speed == max(-limit, min(limit, wanted))
 
@@ -224,11 +369,11 @@ def test_commands_are_of_their_tick_and_within_what_a_motor_has() -> None:
 
 def test_the_hip_follows_its_ramp() -> None:
     """A hip that obeys is where the ramp says after each tick, once it has caught up."""
-    gait = LegGait(PARAMS.gait, "front_right")
+    gait = PlainGait(PARAMS, "front_right")
 
     def look(sense: LegSense, command: LegCommand) -> None:
         if sense.tick > TICKS:
-            assert sense.hip == pytest.approx(gait.hip_goal((sense.tick - 1) / TICKS), abs=1e-12)
+            assert sense.hip == pytest.approx(gait.hip_goal(sense.tick - 1), abs=1e-12)
 
     live(module("front_right"), 3 * TICKS, seen=look)
 
@@ -266,9 +411,9 @@ def test_legs_do_not_know_of_each_other() -> None:
     legs = [module(name, seed=4, policy="random") for name in LEGS]
     among = []
     for tick in range(60):
-        commands = [leg.tick(s, tick / TICKS) for leg, s in zip(legs, world.observe(), strict=True)]
+        commands = [leg.tick(s, beat(tick)) for leg, s in zip(legs, world.observe(), strict=True)]
         among.append(commands[3])
-        world.step(tick / TICKS, commands)
+        world.step(beat(tick), commands)
     assert among == alone
 
 
@@ -295,12 +440,12 @@ def test_a_leg_takes_up_what_was_learnt() -> None:
 def test_a_wrong_name_is_refused(wrong: dict[str, str], says: str) -> None:
     """A leg, stage or policy that does not exist: the message lists those that do."""
     with pytest.raises(ParameterError, match=says):
-        LegModule(PARAMS, **{"leg": "leg", **wrong})  # type: ignore[arg-type]
+        make_leg(PARAMS, **{"leg": "leg", **wrong})  # type: ignore[arg-type]
 
 
 def test_a_leg_knows_its_place() -> None:
     """Positions are those of the order of legs; the trainer's leg is the first."""
-    assert [module(name).position for name in (*LEGS, TRAINER_LEG)] == [0, 1, 2, 3, 0]
+    assert [position_of(PARAMS, name) for name in (*LEGS, TRAINER_LEG)] == [0, 1, 2, 3, 0]
 
 
 def test_a_leg_that_shares_keeps_its_pairs() -> None:
@@ -313,4 +458,4 @@ def test_a_leg_that_shares_keeps_its_pairs() -> None:
     due.append(leg.copy.push_due())
     assert due[0] is not None
     assert (due[0].leg, due[0].epoch) == (1, 0)
-    assert [pair.tick for pair in due[0].pairs] == list(range(1, TICKS - 1))
+    assert [update.tick for update in due[0].updates] == list(range(1, TICKS - 1))

@@ -8,7 +8,7 @@ import shutil
 from array import array
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,36 +18,32 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from cpg_node.node import CpgNode
-from ember_ros import calls, topics, wire
+from ember_ros import cdr, topics, wire
 from ember_ros.bag.recorder_node import RecorderNode
 from ember_ros.errors import EmberError, ParameterError, TableError
 from ember_ros.loop import Loop
 from ember_ros.options import OPTIONS
 from ember_ros.params import SPECS, Params, cells_sha256
-from ember_ros.plan import Plan
 from ember_ros.run import SUMMARY
-from ember_ros.signals import LEGS, BodyState, LegCommand, LegSense, Pair, Phase, Transition
-from ember_ros.spinning import main_of
-from leg_node.module import LegModule
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import Beat, LegSense, TDUpdate
+from ember_ros.spinning import node_main
+from leg_node import calls
+from leg_node.assembly import empty_table, make_leg
 from leg_node.node import LegNode
-from leg_node.shared import Push, SharedTable
-from leg_node.table import empty_table
+from leg_node.shared import SharedTable, UpdateBatch
 from leg_node.table_file import load_table, save_table
 from leg_node.table_node import TableNode
 from sim_node.node import FINISHED, SimNode
-
-if TYPE_CHECKING:
-    from test.conftest import Ros
+from support.legs import LEGS
+from support.robot import overrides
+from support.ros import Ros
+from support.runs import Heard
 
 NODES = (SimNode, CpgNode, LegNode, TableNode)
 NEEDED: dict[Any, dict[str, Any]] = {LegNode: {"leg": "rear_left"}}
 """Parameters without which a node does not start."""
 TICK_NS = Params().gait.tick_ns
-
-
-def given(parameters: dict[str, Any]) -> list[Parameter]:
-    """Return parameters as rclpy takes them."""
-    return [Parameter(name, value=value) for name, value in parameters.items()]
 
 
 def make(ros: Ros, kind: Any, namespace: str = "", /, **parameters: Any) -> Any:
@@ -57,7 +53,7 @@ def make(ros: Ros, kind: Any, namespace: str = "", /, **parameters: Any) -> Any:
         kind(
             context=ros.context,
             namespace=namespace,
-            parameter_overrides=given({**NEEDED.get(kind, {}), **named}),
+            parameter_overrides=overrides({**NEEDED.get(kind, {}), **named}),
         )
     )
 
@@ -131,7 +127,7 @@ def test_a_leg_has_its_own_topics_the_phase_and_the_table_alone(ros: Ros, leg: s
     assert live(ros, "subscriber", node) == {
         f"{leg}/joint_states": joint_state,
         f"{leg}/contact": joint_state,
-        "cpg/phase": "std_msgs/Float64",
+        "cpg/phase": "sensor_msgs/JointState",
     }
     assert live(ros, "publisher", node) == {
         f"{leg}/command": joint_state,
@@ -167,7 +163,7 @@ def test_a_leg_that_has_no_use_for_a_table_calls_nobody(ros: Ros) -> None:
 def test_a_cpg_node_hears_the_clock_and_says_the_phase(ros: Ros) -> None:
     """The CPG's only publisher is the phase, its only subscription the clock."""
     node = make(ros, CpgNode, "/robot_3")
-    assert live(ros, "publisher", node) == {"cpg/phase": "std_msgs/Float64"}
+    assert live(ros, "publisher", node) == {"cpg/phase": "sensor_msgs/JointState"}
     assert live(ros, "subscriber", node) == {"clock": "rosgraph_msgs/Clock"}
     assert agree(documented(CpgNode, "Publishes", []), live(ros, "publisher", node))
     assert agree(documented(CpgNode, "Subscribes", []), live(ros, "subscriber", node))
@@ -200,7 +196,7 @@ def test_the_table_of_topics_is_what_the_nodes_have(ros: Ros) -> None:
             held |= live(ros, what, node)
     on_the_graph = {n: t for n, t in listed.items() if not n.startswith("run/")}
     assert {n.replace("leg/", "<leg>/"): t for n, t in held.items()} == on_the_graph
-    in_bags = (topics.CARD, topics.VALUES, topics.VISITS, topics.CRC)
+    in_bags = (topics.RUN_METADATA, topics.VALUES, topics.VISITS, topics.CRC)
     assert {t.name: t.kind.replace("/msg", "") for t in in_bags} == {
         n: t for n, t in listed.items() if n not in on_the_graph
     }
@@ -243,6 +239,11 @@ def test_a_node_has_the_parameters_its_docstring_lists(ros: Ros, kind: Any) -> N
             continue
         spec = SPECS[name]
         assert spec.doc in described.description
+        if spec.form:
+            assert f"({spec.form})" in described.description
+            many, one = ParameterType.PARAMETER_STRING_ARRAY, ParameterType.PARAMETER_STRING
+            assert described.type == (many if isinstance(spec.default, tuple) else one)
+            continue
         assert f"[{spec.unit}]" in described.description
         if isinstance(spec.default, tuple):
             assert described.type == ParameterType.PARAMETER_DOUBLE_ARRAY
@@ -276,11 +277,11 @@ def test_parameters_can_be_dumped(ros: Ros, kind: Any) -> None:
 def test_a_leg_is_named_by_either_word(ros: Ros) -> None:
     """``leg`` and ``leg_name`` at the start, alike; two names that differ are refused."""
     for names in ({"leg": "rear_left"}, {"leg_name": "rear_left"}):
-        node = LegNode(context=ros.context, parameter_overrides=given(names))
+        node = LegNode(context=ros.context, parameter_overrides=overrides(names))
         assert node.module.leg == "rear_left"
         assert declared(node)["leg_name"] == "rear_left"
         node.destroy_node()
-    both = given({"leg": "rear_left", "leg_name": "front_left"})
+    both = overrides({"leg": "rear_left", "leg_name": "front_left"})
     with pytest.raises(ParameterError, match="contradict"):
         LegNode(context=ros.context, parameter_overrides=both)
 
@@ -291,7 +292,7 @@ def test_help_says_what_a_node_is_and_its_parameters(
     kind: Any, asked: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """All that are its own with their meaning, its groups, how ROS takes them; and it ends."""
-    assert main_of(kind, asked) == 0
+    assert node_main(kind, asked) == 0
     said = capsys.readouterr()
     assert not said.err
     for name in documented(kind, "Parameters", []):
@@ -310,7 +311,7 @@ def test_an_argument_that_nobody_knows_is_refused(
 ) -> None:
     """A parameter without ``--ros-args -p``, as it is often typed: one line, and 2."""
     for given in (["world:=trainer"], ["--ros-args", "-r", "__ns:=/x", "--", "world:=trainer"]):
-        assert main_of(kind, given) == 2
+        assert node_main(kind, given) == 2
         error = capsys.readouterr().err
         wanted = r"error: \w+_node has no argument 'world:=trainer'; --ros-args -p .*\n"
         assert re.fullmatch(wanted, error)
@@ -361,6 +362,16 @@ WRONG: list[tuple[Any, dict[str, Any], str]] = [
     (SimNode, {"leg.knee_speeds": 1.0}, "leg.knee_speeds must be a list"),
     (SimNode, {"world": "moon"}, "world = 'moon' must be one of walker, trainer"),
     (SimNode, {"world": 1}, "world = 1 must be a str"),
+    (SimNode, {"world": "no.such.World"}, "world = 'no.such.World': there is no module 'no'"),
+    (SimNode, {"robot.legs": ["one", "two"]}, r"robot.segment has 4 entries; 2, one for each"),
+    (SimNode, {"robot.legs": "one"}, "robot.legs must be a list of names, not 'one'"),
+    (SimNode, {"robot.side": [1.0, 1.0, 1.0, 0.5]}, "robot.side = .* must be 1 or -1"),
+    (CpgNode, {"parts.cpg": "FixedPeriod"}, "parts.cpg must be a dotted path"),
+    (CpgNode, {"parts.cpg": "no.such.Cpg"}, "parts.cpg = 'no.such.Cpg': there is no module 'no'"),
+    (CpgNode, {"parts.cpg": "math.pi"}, "parts.cpg = 'math.pi' is no class"),
+    (LegNode, {"parts.reward": "leg_node.reward.Mine"}, "parts.reward = .*Mine' cannot be used"),
+    (LegNode, {"policy": "leg_node.policy.Mine"}, "policy = .*Mine' cannot be used"),
+    (TableNode, {"parts.discretizer": "math.inf"}, "parts.discretizer = 'math.inf' is no class"),
     (SimNode, {"mode": "fast"}, "mode = 'fast' must be one of lockstep, realtime"),
     (SimNode, {"cycles": -2}, "cycles = -2 must be -1 or more"),
     (SimNode, {"cycles": 1.5}, "cycles = 1.5 must be a int"),
@@ -372,6 +383,7 @@ WRONG: list[tuple[Any, dict[str, Any], str]] = [
     (SimNode, {"out": "/proc/ember"}, "/proc/ember"),
     (LegNode, {"leg": ""}, "no leg ''; .*front_left, front_right, rear_left, rear_right"),
     (LegNode, {"leg": "tail"}, "no leg 'tail'"),
+    (LegNode, {"leg": "middle_left"}, "no leg 'middle_left'; .*rear_right on the walker"),
     (LegNode, {"leg": 1}, "leg = 1 must be a str"),
     (LegNode, {"stage": "run"}, "stage = 'run' must be one of walk, train"),
     (LegNode, {"policy": "best"}, "policy = 'best' must be one of learned, scripted, random"),
@@ -395,9 +407,9 @@ def test_a_wrong_parameter_is_a_clear_error(
     ros: Ros, kind: Any, wrong: dict[str, Any], names: str
 ) -> None:
     """The constructor raises an EmberError that names it; the fixture sees no node left."""
-    overrides = given({**NEEDED.get(kind, {}), **wrong})
+    mistaken = overrides({**NEEDED.get(kind, {}), **wrong})
     with pytest.raises(EmberError, match=names):
-        kind(context=ros.context, parameter_overrides=overrides)
+        kind(context=ros.context, parameter_overrides=mistaken)
 
 
 @pytest.mark.parametrize("kind", NODES)
@@ -408,7 +420,7 @@ def test_parameters_of_other_nodes_are_let_pass(ros: Ros, kind: Any) -> None:
         for name, s in SPECS.items()
     }
     options = {name: option.default for name, option in OPTIONS.items()} | NEEDED.get(kind, {})
-    node = kind(context=ros.context, parameter_overrides=given(every | options))
+    node = kind(context=ros.context, parameter_overrides=overrides(every | options))
     node.destroy_node()
 
 
@@ -419,11 +431,11 @@ def test_a_table_of_other_cells_is_refused(ros: Ros, tmp_path: Path) -> None:
     save_table(file, empty_table(other), other, 0)
     wrong = {"table": str(file), "state.hip_low": -0.6}
     with pytest.raises(TableError, match="another partition"):
-        TableNode(context=ros.context, parameter_overrides=given(wrong))
+        TableNode(context=ros.context, parameter_overrides=overrides(wrong))
     with pytest.raises(TableError, match="another partition"):
         LegNode(
             context=ros.context,
-            parameter_overrides=given({**wrong, "shared": False, "leg": "leg"}),
+            parameter_overrides=overrides({**wrong, "shared": False, "leg": "leg"}),
         )
     with pytest.raises(ParameterError, match="neither loads nor saves"):
         make(ros, LegNode, table=str(file))
@@ -435,64 +447,46 @@ def test_a_table_of_other_cells_is_refused(ros: Ros, tmp_path: Path) -> None:
 def test_a_cpg_says_the_phase_of_every_clock_once(ros: Ros) -> None:
     """It follows the clock, back to the start too; told twice or nonsense, it says nothing new."""
     node = make(ros, CpgNode)
-    phases = ros.messages(topics.PHASE)
+    phases = ros.messages(topics.PHASE, raw=True)
     clock = ros.publisher(topics.CLOCK)
-    said: list[float] = []
+    said: list[bytes] = []
     for tick in [0, 1, 2, 2, -1, 3, 32, 33, 0, 1]:
-        clock.publish(wire.pack_clock(tick * TICK_NS))
-        if tick >= 0 and tick / 32 not in said[-1:]:
-            said.append(tick / 32)
+        clock.publish(cdr.pack_clock(tick * TICK_NS))
+        beat = wire.BeatWire(TICK_NS).pack(Beat(max(tick, 0), tick / 32))
+        if tick >= 0 and beat not in said[-1:]:
+            said.append(beat)
         ros.spin_until(lambda: len(phases) >= len(said), f"phase of tick {tick}")
         ros.spin_once(0.0)
-    assert [message.data for message in phases] == said
+    assert phases == said
     assert declared(node)["gait.ticks"] == 32
 
 
 # -- a leg alone -------------------------------------------------------------------------------
 
 
-class Tape:
-    """The senses and phases of a run, to be played to a leg."""
-
-    def __init__(self) -> None:
-        """Begin empty."""
-        self.ticks: list[tuple[Phase, tuple[LegSense, ...]]] = []
-
-    def tick(
-        self,
-        phase: Phase,
-        senses: Sequence[LegSense],
-        commands: Sequence[LegCommand | None],
-        body: BodyState,
-        transitions: Sequence[Transition | None],
-    ) -> None:
-        """Record a tick."""
-        self.ticks.append((phase, tuple(senses)))
-
-
 @pytest.fixture(scope="module")
-def tape() -> Tape:
+def tape() -> Heard:
     """Record four cycles of the walker."""
-    loop, tape = Loop(Plan("walker", 4, seed=7)), Tape()
+    loop, tape = Loop(RunConfig("walker", 4, seed=7)), Heard()
     for _ in range(128):
         loop.tick(tape)
     loop.close()
     return tape
 
 
-def alone(leg: str, tape: Tape) -> tuple[list[bytes], str]:
+def alone(leg: str, tape: Heard) -> tuple[list[bytes], str]:
     """Return the commands of a leg without ROS to which a tape is played, and its table's hash."""
-    module = LegModule(Params(), leg, seed=3, shared=False)
+    module = make_leg(Params(), leg, seed=3, shared=False)
     pack = wire.CommandWire(leg, TICK_NS).pack
-    commands = [pack(module.tick(senses[LEGS.index(leg)], phase)) for phase, senses in tape.ticks]
-    assert module.copy.table.visits.sum() == len(tape.ticks) - 1
+    commands = [pack(module.tick(senses[LEGS.index(leg)], beat)) for beat, senses, _ in tape.seen]
+    assert module.copy.table.visits.sum() == len(tape.seen) - 1
     return commands, module.copy.table.sha256()
 
 
 def play(
     ros: Ros,
     leg: str,
-    tape: Tape,
+    tape: Heard,
     order: Callable[[int], Sequence[int]] = lambda n: (0, 1, 2),
     between: Callable[[int], None] = lambda n: None,
 ) -> tuple[list[bytes], Any]:
@@ -505,9 +499,9 @@ def play(
     heard = (topics.joint_states(leg), topics.contact(leg), topics.PHASE)
     publishers = [ros.publisher(topic) for topic in heard]
     packer = wire.SenseWire(leg, TICK_NS)
-    for n, (phase, senses) in enumerate(tape.ticks):
+    for n, (beat, senses, _) in enumerate(tape.seen):
         between(n)
-        data = [*packer.pack(senses[LEGS.index(leg)]), wire.pack_phase(phase)]
+        data = [*packer.pack(senses[LEGS.index(leg)]), wire.BeatWire(TICK_NS).pack(beat)]
         for which in order(n):
             publishers[which].publish(data[which])
             ros.spin_once(0.0)
@@ -517,7 +511,7 @@ def play(
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_what_other_legs_hear_and_say_changes_no_bit_of_a_leg(
-    ros: Ros, tape: Tape, seed: int
+    ros: Ros, tape: Heard, seed: int
 ) -> None:
     """Locality: a leg fed recorded senses and phases commands and learns the same, bit for bit.
 
@@ -544,7 +538,7 @@ def test_what_other_legs_hear_and_say_changes_no_bit_of_a_leg(
     assert node.refused == 0
 
 
-def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: Tape) -> None:
+def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: Heard) -> None:
     """Senses and phase of a tick may come in any order, and twice; the commands are the same."""
     rng = np.random.default_rng(0)
 
@@ -556,10 +550,10 @@ def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: Tape) -> N
     assert (commands, node.module.copy.table.sha256()) == alone("front_left", tape)
 
 
-def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: Tape) -> None:
+def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: Heard) -> None:
     """While ``table/push`` is not served yet its first push would be lost: it waits for both."""
     shared = SharedTable(
-        empty_table(Params()), cells=cells_sha256(Params()), rate=Params().walk.rate
+        empty_table(Params()), legs=4, cells=cells_sha256(Params()), rate=Params().walk.rate
     )
     pulls: list[Any] = []
 
@@ -568,17 +562,17 @@ def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: 
     ) -> GetParameters.Response:
         pulls.append(request)
         since, upto, wanted = calls.read_pull(request)
-        response.values = calls.answer_pull(wanted, shared.pull(since, upto), str)
+        response.values = calls.write_pull_response(wanted, shared.pull(since, upto), str)
         return response
 
     make(ros, LegNode, leg="rear_left")
     topics.PULL.serve(ros.node, pull)
     answers = ros.messages(topics.command("rear_left"), raw=True)
-    phase, senses = tape.ticks[0]
+    beat, senses, _ = tape.seen[0]
     joints, contact = wire.SenseWire("rear_left", TICK_NS).pack(senses[2])
     ros.publisher(topics.joint_states("rear_left")).publish(joints)
     ros.publisher(topics.contact("rear_left")).publish(contact)
-    ros.publisher(topics.PHASE).publish(wire.pack_phase(phase))
+    ros.publisher(topics.PHASE).publish(wire.BeatWire(TICK_NS).pack(beat))
     for _ in range(40):
         ros.spin_once()
     assert not pulls
@@ -601,7 +595,7 @@ def test_a_leg_without_a_table_says_whom_it_waits_for(
 
     leg = make(ros, LegNode, "/robot")
     ros.spin_until(
-        lambda: says("waiting for the table_node: nobody serves /robot/table/push"), "it says so"
+        lambda: says("waiting for the table_node: no node serves /robot/table/push"), "it says so"
     )
     ros.remove(leg)
     make(ros, TableNode)
@@ -609,7 +603,7 @@ def test_a_leg_without_a_table_says_whom_it_waits_for(
     make(ros, LegNode)
     for _ in range(40):
         ros.spin_once()
-    assert not says("waiting for the table_node: nobody serves /table/push")
+    assert not says("waiting for the table_node: no node serves /table/push")
 
 
 def test_a_publisher_that_cannot_be_heard_is_named_with_what_would_be_right(
@@ -624,8 +618,8 @@ def test_a_publisher_that_cannot_be_heard_is_named_with_what_would_be_right(
     def says() -> bool:
         said.append(capfd.readouterr().err)
         return (
-            "a publisher of /leg/command cannot be heard for its durability: reliable and "
-            "transient_local, keeping the last, would be right"
+            "no messages from a publisher of /leg/command: its durability is incompatible; "
+            "reliable, transient_local and keep_last would be right"
         ) in "".join(said)
 
     ros.spin_until(says, "which topic, and what would be right")
@@ -662,7 +656,9 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "before.npz"
 
 
-GOOD = Push(1, "a run", 5, cells_sha256(Params()), (Pair(160, 3, 0.5), Pair(161, 4, -0.25)))
+GOOD = UpdateBatch(
+    1, "a run", 5, cells_sha256(Params()), (TDUpdate(160, 3, 0.5), TDUpdate(161, 4, -0.25))
+)
 
 
 def push_with(name: str, **fields: Any) -> SetParametersAtomically.Request:
@@ -688,7 +684,7 @@ FIELDS = ("leg", "run", "epoch", "cells_sha256", "tick", "cell", "target")
 MALFORMED = [
     *[(push_with(name), f"{name} missing") for name in FIELDS],
     (push_and("more"), "'more' is unknown"),
-    (push_and("leg"), "'leg' is .*twice"),
+    (push_and("leg"), "'leg' is .*repeated"),
     (push_with("leg", type=ParameterType.PARAMETER_DOUBLE), "leg has parameter type 3"),
     (push_with("target", type=ParameterType.PARAMETER_NOT_SET), "target has parameter type 0"),
     (push_with("tick", integer_array_value=array("q", [160])), "tick, cell and target have"),
@@ -742,7 +738,7 @@ def test_a_push_is_merged_once_however_often_it_comes(ros: Ros) -> None:
     for n in range(3):
         result = ros.call(push, calls.write_push(GOOD)).result
         assert result.successful
-        assert bool(result.reason) == bool(n)  # "taken before"
+        assert bool(result.reason) == bool(n)  # "received before"
     assert node.shared.table.visits.sum() == 0
     changes = calls.read_changes(ros.call(pull, calls.write_pull(version, 4)))
     assert (changes.version, len(changes.cells)) == (version, 0)
@@ -764,8 +760,8 @@ def test_a_push_is_merged_once_however_often_it_comes(ros: Ros) -> None:
 def test_the_order_in_which_pushes_come_does_not_matter(ros: Ros) -> None:
     """Pairs of one epoch are merged in the order of ticks and legs."""
     pushes = [
-        Push(leg, f"run {leg}", 0, GOOD.cells_sha256,
-             tuple(Pair(tick, 7, (leg + 1) / (tick + 3)) for tick in range(5)))
+        UpdateBatch(leg, f"run {leg}", 0, GOOD.cells_sha256,
+             tuple(TDUpdate(tick, 7, (leg + 1) / (tick + 3)) for tick in range(5)))
         for leg in range(4)
     ]  # fmt: skip
     tables = set()
@@ -857,14 +853,14 @@ def test_a_table_that_could_never_be_saved_is_refused_at_once(ros: Ros, tmp_path
     with pytest.raises(TableError, match=r"cannot write the table .*folder/table\.npz"):
         TableNode(
             context=ros.context,
-            parameter_overrides=given({"save": str(tmp_path / "folder" / "table.npz")}),
+            parameter_overrides=overrides({"save": str(tmp_path / "folder" / "table.npz")}),
         )
 
 
 def test_saving_changes_nothing_of_what_is_learnt_after(ros: Ros, tmp_path: Path) -> None:
     """A save between two legs' pushes of one epoch leaves their order of merging alone."""
     first, second = (
-        Push(leg, f"run {leg}", 0, GOOD.cells_sha256, (Pair(3, 7, target),))
+        UpdateBatch(leg, f"run {leg}", 0, GOOD.cells_sha256, (TDUpdate(3, 7, target),))
         for leg, target in ((0, 1.0), (1, -0.3))
     )
     tables = set()
@@ -873,8 +869,8 @@ def test_saving_changes_nothing_of_what_is_learnt_after(ros: Ros, tmp_path: Path
         push, pull, save = map(ros.client, (topics.PUSH, topics.PULL, topics.SAVE))
         for leg in (second, first):
             for n in range(3):
-                pairs = (Pair(3 + n, 7, leg.pairs[0].target / (n + 1)),)
-                push_ = leg._replace(epoch=n, pairs=pairs)
+                updates = (TDUpdate(3 + n, 7, leg.updates[0].target / (n + 1)),)
+                push_ = leg._replace(epoch=n, updates=updates)
                 assert ros.call(push, calls.write_push(push_)).result.successful
             if saves:
                 assert ros.call(save, Trigger.Request()).success
@@ -901,7 +897,7 @@ def test_what_was_acknowledged_outlives_the_node(ros: Ros, tmp_path: Path) -> No
                 ros.remove(node)
                 node = make(ros, TableNode, **options)
                 assert ros.call(push, calls.write_push(each)).result.successful
-                assert "taken before" in ros.call(push, calls.write_push(each)).result.reason
+                assert "received before" in ros.call(push, calls.write_push(each)).result.reason
         ros.call(pull, calls.write_pull(None, 2))
         tables.add(node.shared.table.sha256())
         node.finish(lambda: None)
@@ -920,7 +916,7 @@ def test_learning_can_be_switched_off_and_on(ros: Ros) -> None:
         assert ("merged" if on else "dropped") in answer.message
         assert ros.call(push, calls.write_push(GOOD._replace(epoch=epoch))).result.successful
     ros.call(pull, calls.write_pull(None, 9))
-    assert node.shared.table.visits.sum() == 2 * len(GOOD.pairs)
+    assert node.shared.table.visits.sum() == 2 * len(GOOD.updates)
     assert node.refused == 0
 
 

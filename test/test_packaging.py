@@ -8,6 +8,8 @@ import re
 import runpy
 import subprocess
 import sys
+import tarfile
+import zipfile
 from collections.abc import Iterator
 from fnmatch import fnmatch
 from pathlib import Path
@@ -16,19 +18,22 @@ from xml.etree import ElementTree
 
 import pytest
 import setuptools
+import yaml
 
 import ember_ros
+from ember_ros import entry_points
+from ember_ros.entry_points import NODES
+from support.command import ROOT, started
+from support.waiting import DEADLINE_S
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ROOT / "ember_ros" / "launch"
 CONFIG = ROOT / "ember_ros" / "config"
 WRAPPERS = ROOT / "ember_ros" / "resource" / "lib"
-NODES = ("cpg_node", "leg_node", "recorder_node", "sim_node", "table_node")
 
 # Names under which rosdep knows what pip and Python call otherwise.
 ROSDEP = {
@@ -42,9 +47,9 @@ ROSDEP = {
     "scipy": "python3-scipy",
     "yaml": "python3-yaml",
 }
-# Imported only by `ember` verbs that say how to install them: the extra `bags`, in which mcap
-# brings lz4 and zstandard.
-OPTIONAL = {"lz4", "mcap", "rosbags", "zstandard"}
+# Imported only by what says how to install them: the extra `bags`, in which mcap brings lz4 and
+# zstandard, and the extras `notebook` and `envs`.
+OPTIONAL = {"gymnasium", "lz4", "mcap", "pandas", "pettingzoo", "rosbags", "zstandard"}
 
 
 @pytest.fixture
@@ -62,6 +67,23 @@ def setup_py(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     runpy.run_path("setup.py", run_name="__main__")
     (arguments,) = calls
     return arguments
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """What pip builds: the wheel and the sdist of this folder, and the wheel of that sdist."""
+    pytest.importorskip("hatchling", reason="hatchling is not installed")
+    folder = tmp_path_factory.mktemp("built")
+    build = [sys.executable, "-m", "hatchling", "build", "--directory"]
+    for kind in ("wheel", "sdist"):
+        subprocess.run([*build, folder / kind, "--target", kind], cwd=ROOT, check=True, timeout=60)
+    (wheel,), (sdist,) = (folder / "wheel").iterdir(), (folder / "sdist").iterdir()
+    with tarfile.open(sdist) as tar:
+        tar.extractall(folder, filter="data")
+    source = folder / sdist.name.removesuffix(".tar.gz")
+    subprocess.run([*build, folder / "again", "--target", "wheel"], cwd=source, check=True)
+    (again,) = (folder / "again").iterdir()
+    return {"wheel": wheel, "sdist": sdist, "again": again}
 
 
 @pytest.fixture
@@ -111,7 +133,7 @@ def files_below(folder: Path) -> Iterator[Path]:
 
 
 def in_site_packages(pyproject: dict[str, Any]) -> Iterator[Path]:
-    """Yield the files that go where Python imports from, in both kinds of installation."""
+    """Yield the files of packages that go where Python imports from, in both installations."""
     elsewhere = (LAUNCH, WRAPPERS.parent)
     for name in top_packages(pyproject):
         for path in files_below(ROOT / name):
@@ -147,30 +169,42 @@ def test_release_tools_can_bump_setup_py() -> None:
     assert len(literals) == 1
 
 
-def test_console_scripts_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> None:
-    """Both ways of installing give the same commands: `ember` and one for each node."""
+def test_ember_is_the_only_console_script(
+    pyproject: dict[str, Any], setup_py: dict[str, Any]
+) -> None:
+    """Both ways of installing put `ember` into a PATH, and no name that is not ours alone."""
     scripts = pyproject["project"]["scripts"]
     told = [re.split(r"\s*=\s*", line) for line in setup_py["entry_points"]["console_scripts"]]
-    assert dict(told) == scripts
-    assert set(scripts) == {"ember", *NODES}
+    assert dict(told) == scripts == {"ember": "ember_ros.entry_points:ember"}
+    assert callable(entry_points.ember)
 
 
-@pytest.mark.parametrize("script", ["ember", *NODES])
-def test_console_script_has_a_target(pyproject: dict[str, Any], script: str) -> None:
-    """The module of a console script exists and has the function, told without importing it."""
-    module, _, function = pyproject["project"]["scripts"][script].partition(":")
-    source = ROOT.joinpath(*module.split(".")).with_suffix(".py")
-    names = {
-        getattr(node, "name", None) for node in ast.parse(source.read_text(), str(source)).body
-    }
-    assert function in names
+@pytest.mark.parametrize("node", NODES)
+def test_node_has_a_main(node: str) -> None:
+    """The module of a node exists and has a ``main``, told without importing it."""
+    source = ROOT.joinpath(*NODES[node].split(".")).with_suffix(".py")
+    names = {getattr(each, "name", None) for each in ast.parse(source.read_text()).body}
+    assert "main" in names
 
 
 def test_packages_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> None:
     """Every module that pip installs lies in a package that colcon installs, and no other does."""
     folders = {path.parent for path in in_site_packages(pyproject) if path.suffix == ".py"}
     dotted = {".".join(folder.relative_to(ROOT).parts) for folder in folders}
-    assert set(setup_py["packages"]) == dotted
+    assert set(setup_py["packages"]) == dotted | {"ember_ros.data"}
+
+
+def test_the_folder_of_the_bag_is_shipped_beside_the_modules(
+    pyproject: dict[str, Any], setup_py: dict[str, Any]
+) -> None:
+    """Both ways of installing put all of ``bags/`` where ``ember_ros.shipped`` looks first."""
+    wheel = pyproject["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert wheel["force-include"] == {"bags": "ember_ros/data"}
+    assert setup_py["package_dir"] == {"ember_ros.data": "bags"}
+    named = setup_py["package_data"]["ember_ros.data"]
+    files = [path.relative_to(ROOT / "bags") for path in files_below(ROOT / "bags")]
+    assert {Path("README.md"), Path("trained.npz"), Path("walk/metadata.yaml")} <= set(files)
+    assert [str(file) for file in files if not any(map(file.match, named))] == []
 
 
 def test_package_data_agree(pyproject: dict[str, Any], setup_py: dict[str, Any]) -> None:
@@ -214,13 +248,11 @@ def test_wrapper_is_executable(node: str) -> None:
 
 @pytest.mark.parametrize("linked", [False, True], ids=["copied", "linked"])
 @pytest.mark.parametrize("node", NODES)
-def test_wrapper_runs_the_console_script_of_its_prefix(
-    node: str, linked: bool, tmp_path: Path
-) -> None:
+def test_wrapper_runs_ember_of_its_prefix(node: str, linked: bool, tmp_path: Path) -> None:
     """Copied (pip, colcon) or linked (colcon --symlink-install), from a path with a space.
 
-    The wrapper becomes the console script, in the same process, so that a signal reaches the
-    node; every argument arrives unsplit.
+    The wrapper becomes `ember`, in the same process, so that a signal reaches the node; every
+    argument arrives unsplit.
     """
     prefix = tmp_path / "a prefix"
     wrapper = prefix / "lib" / "ember_ros" / node
@@ -230,20 +262,20 @@ def test_wrapper_runs_the_console_script_of_its_prefix(
     else:
         wrapper.write_bytes((WRAPPERS / node).read_bytes())
         wrapper.chmod(0o755)
-    script = prefix / "bin" / node
+    script = prefix / "bin" / "ember"
     script.parent.mkdir()
     script.write_text('#!/bin/sh\necho "$$"\nprintf "%s\\n" "$@"\n')
     script.chmod(0o755)
-    process = subprocess.Popen(
-        [wrapper, "--ros-args", "-p", "out:=two words"], stdout=subprocess.PIPE, text=True
-    )
-    output, _ = process.communicate(timeout=10)
-    assert output.splitlines() == [str(process.pid), "--ros-args", "-p", "out:=two words"]
+    command = [wrapper, "--ros-args", "-p", "out:=two words"]
+    with started(command, stdout=subprocess.PIPE, text=True) as process:
+        output, _ = process.communicate(timeout=DEADLINE_S)
+    args = ["node", node, "--ros-args", "-p", "out:=two words"]
+    assert output.splitlines() == [str(process.pid), *args]
     assert process.returncode == 0
 
 
 def test_build_type(package_xml: ElementTree.Element) -> None:
-    """Colcon builds the package with setup.py; a setup.cfg would move the console scripts."""
+    """Colcon builds the package with setup.py; a setup.cfg would move the console script."""
     (export,) = package_xml.findall("export")
     assert text(export, "build_type") == "ament_python"
     assert package_xml.get("format") == "3"
@@ -275,11 +307,57 @@ def test_imports_are_declared(pyproject: dict[str, Any], package_xml: ElementTre
     assert sorted({ROSDEP.get(name, name) for name in foreign} - told) == []
 
 
+def test_the_wheel_has_what_python_and_ros_look_for(
+    built: dict[str, Path], pyproject: dict[str, Any], package_xml: ElementTree.Element
+) -> None:
+    """Modules, types, parameters, table and bag; share/ and lib/ with its executables; licence."""
+    named = f"ember_ros-{text(package_xml, 'version')}"
+    with zipfile.ZipFile(built["wheel"]) as wheel:
+        found = {info.filename: info.external_attr >> 16 for info in wheel.infolist()}
+        told = wheel.read(f"{named}.dist-info/METADATA").decode()
+    prefix, own = f"{named}.data/data/", f"{named}.dist-info/"
+    modules = {path.relative_to(ROOT).as_posix() for path in in_site_packages(pyproject)}
+    bags = ROOT / "bags"
+    modules |= {f"ember_ros/data/{each.relative_to(bags)}" for each in files_below(bags)}
+    assert {name for name in found if not name.startswith((prefix, own))} == modules
+    assert {f"{name}/py.typed" for name in top_packages(pyproject)} <= modules
+    assert {"ember_ros/data/trained.npz", "ember_ros/data/walk/metadata.yaml"} <= modules
+    assert {name.removeprefix(prefix) for name in found if name.startswith(prefix)} == set(
+        shipped_by_pip(pyproject)
+    )
+    assert all(found[f"{prefix}lib/ember_ros/{node}"] & 0o111 == 0o111 for node in NODES)
+    assert f"{own}licenses/LICENSE" in found
+    assert "Classifier: License :: OSI Approved :: Apache Software License" in told
+
+
+def test_the_sdist_builds_the_same_wheel(built: dict[str, Path]) -> None:
+    """Byte for byte: whoever packages from the sdist gives users what a checkout gives."""
+    assert built["again"].name == built["wheel"].name
+    assert built["again"].read_bytes() == built["wheel"].read_bytes()
+
+
+def test_the_sdist_can_be_tested(built: dict[str, Path]) -> None:
+    """Tests, documents and what colcon reads come along; nothing that was made by running does."""
+    with tarfile.open(built["sdist"]) as tar:
+        found = {name.partition("/")[2] for name in tar.getnames()}
+    wanted = ("LICENSE", "README.md", "CHANGELOG.rst", "CITATION.cff", "package.xml", "setup.py")
+    assert {*wanted, "docs/GRAPH.md", "test/conftest.py"} <= found
+    assert not [name for name in found if name.startswith((".venv", "out/", ".hypothesis"))]
+
+
+def test_versions_in_the_citation_agree(package_xml: ElementTree.Element) -> None:
+    """Whoever cites the software names the version that is here."""
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == text(package_xml, "version")
+    assert citation["license"] == text(package_xml, "license")
+    assert f"version = {{{citation['version']}}}" in (ROOT / "README.md").read_text("utf-8")
+
+
 def test_installed_prefix_is_complete(pyproject: dict[str, Any]) -> None:
     """The environment the tests run in, if one was named, holds what `ros2 run` looks for.
 
-    `make test` names .venv, so this proves that an editable install brings the marker and an
-    executable file for each node, each beside a console script of its name.
+    `make test` names .venv, so this proves that an editable install brings the marker, an
+    executable file for each node, and the `ember` that each of them runs.
     """
     prefixes = [Path(part) for part in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if part]
     marker = "share/ament_index/resource_index/packages/ember_ros"
@@ -290,4 +368,5 @@ def test_installed_prefix_is_complete(pyproject: dict[str, Any]) -> None:
         assert (prefix / place).is_file()
     for node in NODES:
         assert os.access(prefix / "lib" / "ember_ros" / node, os.X_OK)
-        assert os.access(prefix / "bin" / node, os.X_OK)
+    assert os.access(prefix / "bin" / "ember", os.X_OK)
+    assert not [node for node in NODES if (prefix / "bin" / node).exists()]

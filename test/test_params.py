@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Callable
 from dataclasses import FrozenInstanceError
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -27,28 +30,44 @@ from ember_ros.params import (
     params_sha256,
     replace,
 )
+from ember_ros.shipped import shipped_table
+from leg_node.table_file import load_about
 
-NUMBERS = [name for name, spec in SPECS.items() if not isinstance(spec.default, tuple)]
+LISTS = [name for name, spec in SPECS.items() if isinstance(spec.default, tuple)]
+TEXTS = [name for name, spec in SPECS.items() if spec.form and name not in LISTS]
+NUMBERS = [name for name in SPECS if name not in (*LISTS, *TEXTS)]
 INTEGERS = [name for name in NUMBERS if isinstance(SPECS[name].default, int)]
-LISTS = [name for name in SPECS if name not in NUMBERS]
+NAME_LISTS = [name for name in LISTS if SPECS[name].form]
+NUMBER_LISTS = [name for name in LISTS if name not in NAME_LISTS]
 
 # What gives a row or a column of the table its meaning; nothing else does.
 CELLS = {
-    *(name for name in SPECS if name.startswith("state.")),
+    *(name for name in SPECS if name.startswith(("state.", "parts."))),
     "leg.load",
     "leg.knee_speeds",
     "gait.stance_share",
-}
+} - {"parts.cpg"}
 
 
 def another(name: str) -> Any:
     """Return a value of a parameter that is allowed and not the default."""
-    special = {"gait.ticks": 64, "gait.period": 1.0, "gait.stance_share": 0.5}
+    special = {
+        "gait.ticks": 64,
+        "gait.period": 1.0,
+        "gait.stance_share": 0.5,
+        "robot.segments": ("front", "rear", "tail"),
+        "robot.segment": ("front", "front", "rear", "front"),
+        "robot.side": (1.0, -1.0, 1.0, 1.0),
+    }
     if name in special:
         return special[name]
     spec, default = SPECS[name], SPECS[name].default
+    if name in TEXTS:
+        return "my_package.module.Mine"
+    if name in NAME_LISTS:
+        return tuple(f"my_{each}" for each in default)  # type: ignore[union-attr]
     if isinstance(default, tuple):
-        return (*default[:-1], default[-1] + 0.125)
+        return (*default[:-1], float(default[-1]) + 0.125)
     assert isinstance(default, (int, float))
     if isinstance(default, int):
         return default + 1
@@ -59,20 +78,25 @@ def another(name: str) -> Any:
 
 def test_every_group_is_reached() -> None:
     """The list of all parameters is neither empty nor short of a group."""
-    groups = ["gait", "leg", "physics", "trainer", "walker", "state", "reward", "train", "walk"]
+    groups = [
+        "gait", "leg", "physics", "trainer", "walker", "robot", "parts", "state", "reward",
+        "script", "train", "walk",
+    ]  # fmt: skip
     assert list(dict.fromkeys(name.split(".")[0] for name in SPECS)) == groups
     assert dict(flat(Params())) == {name: spec.default for name, spec in SPECS.items()}
 
 
 @pytest.mark.parametrize("name", SPECS)
 def test_every_parameter_is_described(name: str) -> None:
-    """Each has a unit, a meaning, and a range that holds its default."""
+    """Each has a unit, a meaning, and a range or a form that holds its default."""
     spec = SPECS[name]
     assert spec.unit.strip()
     assert spec.doc.strip()
     assert spec.low <= spec.high
     items = spec.default if isinstance(spec.default, tuple) else (spec.default,)
-    assert all(isinstance(x, (int, float)) and spec.low <= x <= spec.high for x in items)
+    for item in items:
+        assert isinstance(item, str) == bool(spec.form)
+        assert isinstance(item, str) or spec.low <= item <= spec.high
     assert check(name, spec.default) == spec.default
 
 
@@ -111,7 +135,7 @@ def test_errors_have_one_base() -> None:
     assert issubclass(ParameterError, EmberError)
 
 
-@pytest.mark.parametrize("name", SPECS)
+@pytest.mark.parametrize("name", [*NUMBERS, *NUMBER_LISTS])
 def test_what_is_not_finite_is_refused(name: str) -> None:
     """NaN and infinity are refused everywhere, within lists too, with the parameter's name."""
     for value in (math.nan, math.inf, -math.inf):
@@ -127,7 +151,7 @@ def test_a_wrong_type_is_refused(name: str) -> None:
             check(name, value)
 
 
-@pytest.mark.parametrize("name", LISTS)
+@pytest.mark.parametrize("name", NUMBER_LISTS)
 def test_a_list_of_a_wrong_type_is_refused(name: str) -> None:
     """One number, or a text, is no list; each item is checked as a number is."""
     for value in (1.0, "0.0", None, b"1", True):
@@ -136,6 +160,48 @@ def test_a_list_of_a_wrong_type_is_refused(name: str) -> None:
     for item in (True, "1", None, [0.0]):
         with pytest.raises(ParameterError, match=f"{name} must be a number"):
             check(name, (0.0, item))
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_text_must_have_its_form(name: str) -> None:
+    """A dotted path of a module and a name in it; what is no path is refused by name."""
+    for path in ("a.b", "my_package.module.Mine", "_a.B1", "päckchen.Größe"):
+        assert check(name, path) == path
+    wrong: list[Any] = [
+        "", "Mine", ".Mine", "a.", "a..b", "a b.c", "a.b ", "a.b\n", "1a.b", "a.1b", "a-b.c", "a:b",
+        "a.b:c", "a/b.c", None, 1, 1.0, True, ["a.b"], b"a.b",
+    ]  # fmt: skip
+    for value in wrong:
+        with pytest.raises(ParameterError, match=rf"^{name} must be a dotted path.*, not "):
+            check(name, value)
+
+
+@pytest.mark.parametrize("name", NAME_LISTS)
+def test_a_list_of_names_must_be_one(name: str) -> None:
+    """Names as of topics, in a list, each by itself; a text is no list of its letters."""
+    names = ("a", "front_left", "leg_2", "a1_b2")
+    assert check(name, list(names)) == names
+    for value in ("front", b"front", None, 1, 1.0, True):
+        with pytest.raises(ParameterError, match=f"{name} must be a list of names"):
+            check(name, value)
+    for item in (
+        "",
+        "Front",
+        "2a",
+        "_a",
+        "a_",
+        "a__b",
+        "a b",
+        "a/b",
+        "a.b",
+        "a\n",
+        "é",
+        1,
+        None,
+        ["a"],
+    ):
+        with pytest.raises(ParameterError, match=rf"^{name} must be a name in lower case.*, not "):
+            check(name, ("a", item))
 
 
 @pytest.mark.parametrize("name", LISTS)
@@ -187,7 +253,8 @@ def test_a_number_too_large_for_a_double_is_refused(name: str) -> None:
     | st.integers()
     | st.floats()
     | st.text(max_size=3)
-    | st.lists(st.integers() | st.floats() | st.none(), max_size=3),
+    | st.from_regex(r"[a-z_.1]{1,9}", fullmatch=True)
+    | st.lists(st.integers() | st.floats() | st.none() | st.text(max_size=3), max_size=3),
 )
 def test_a_value_is_taken_or_refused_by_name(name: str, value: object) -> None:
     """Whatever a file may hold: a finite value of the right type, or an error with the name."""
@@ -199,7 +266,9 @@ def test_a_value_is_taken_or_refused_by_name(name: str, value: object) -> None:
         refusal = ""
         assert type(taken) is type(SPECS[name].default)
         items = taken if isinstance(taken, tuple) else (taken,)
-        assert all(isinstance(x, (int, float)) and math.isfinite(x) for x in items)
+        for item in items:
+            assert isinstance(item, str) == bool(SPECS[name].form)
+            assert isinstance(item, str) or math.isfinite(item)
     assert not refusal or name in refusal
 
 
@@ -219,10 +288,30 @@ def test_a_value_is_taken_or_refused_by_name(name: str, value: object) -> None:
         ({"state.hip_low": 1.0}, "state.hip_low = 1.0"),
         ({"state.force_edges": (0.5, 0.2)}, "state.force_edges"),
         ({"state.inclination_edges": (0.1, 0.1)}, "state.inclination_edges"),
-        ({"state.hip_bins": 1000, "state.force_edges": range(99)}, "up to 4000000 cells"),
         ({"leg.operating_height": 0.5}, "leg.operating_height = 0.5"),
         ({"leg.foot_radius": 0.25}, "leg.foot_radius = 0.25"),
         ({"trainer.stop_low": 0.6}, "trainer.stop_low"),
+        ({"robot.legs": ("a", "b", "b", "d")}, r"robot\.legs = .*'b'.* has a name twice"),
+        (
+            {"robot.segments": ("front", "rear", "rear")},
+            r"robot\.segments = .*'rear'.* has a name twice",
+        ),
+        ({"robot.legs": ("a", "b", "c")}, "robot.segment has 4 entries; 3, one for each of"),
+        ({"robot.segment": ("front",) * 5}, "robot.segment has 5 entries; 4, one for each of"),
+        ({"robot.mount": (0.5,)}, "robot.mount has 1 entries; 4, one for each of"),
+        ({"robot.side": (1.0, -1.0)}, "robot.side has 2 entries; 4, one for each of"),
+        ({"robot.offset": (0.0,) * 5}, "robot.offset has 5 entries; 4, one for each of"),
+        (
+            {"robot.segment": ("front", "front", "tail", "rear")},
+            "robot.segment = 'tail' is none of robot.segments, front, rear",
+        ),
+        ({"robot.segments": ("front",)}, "robot.segment = 'rear' is none of robot.segments, front"),
+        ({"robot.side": (1.0, -1.0, 0.0, -1.0)}, r"robot\.side = .* must be 1 or -1 for each leg"),
+        ({"robot.side": (1.0, -1.0, 0.5, -1.0)}, r"robot\.side = .* must be 1 or -1 for each leg"),
+        (
+            {"robot.legs": ("a", "b", "c", "leg")},
+            r"robot\.legs = .*: up to 64 would be right, and none called 'leg'",
+        ),
     ],
 )
 def test_numbers_that_contradict_each_other_are_refused(changes: dict[str, Any], says: str) -> None:
@@ -238,10 +327,13 @@ def test_numbers_that_contradict_each_other_are_refused(changes: dict[str, Any],
         {"gait.ticks": "9" * 100_000},
         {"leg.knee_speeds": [[0.0] * 9] * 100_000},
         {"state.force_edges": (0.5, 0.2) * 50_000},
-        {"state.hip_bins": 1000, "state.force_edges": [n / 9.0 for n in range(100_000)]},
+        {"robot.legs": [f"leg_{n}" for n in range(100_000)]},
+        {"robot.legs": ["a"] * 100_000},
+        {"parts.reward": "a." * 100_000},
+        {"robot.segment": ["x" * 100_000] * 4},
         {"g" * 100_000: 1},
     ],
-    ids=["digits", "text", "lists", "falling", "cells", "name"],
+    ids=["digits", "text", "lists", "falling", "legs", "twice", "path", "segment", "name"],
 )
 def test_what_is_refused_is_not_said_in_full(changes: dict[str, Any]) -> None:
     """One line says what is wrong, however long that is."""
@@ -296,6 +388,67 @@ def test_cells_change_exactly_with_what_defines_them(name: str) -> None:
     """Tables can be exchanged unless a row or a column means something else."""
     changed = cells_sha256(replace(Params(), {name: another(name)})) != cells_sha256(Params())
     assert changed == (name in CELLS)
+
+
+def test_cells_are_named_as_before_there_were_parts() -> None:
+    """With the parts that come with the package, by the partition, load, speeds and stance alone.
+
+    So tables that were learnt before parts had names can be used.
+    """
+    changes: list[dict[str, Any]] = [
+        {},
+        {"state.hip_bins": 5, "leg.load": 10.0, "gait.stance_share": 0.5},
+    ]
+    for params in (replace(Params(), change) for change in changes):
+        every = as_dict(params)
+        meaning = [
+            every["state"],
+            every["leg"]["load"],
+            every["leg"]["knee_speeds"],
+            every["gait"]["stance_share"],
+        ]
+        text = json.dumps(meaning, sort_keys=True)
+        assert cells_sha256(params) == hashlib.sha256(text.encode()).hexdigest()
+
+
+def test_the_cells_of_shipped_tables_are_the_default_s() -> None:
+    """The very text that stands in the table which comes with the package."""
+    about = load_about(shipped_table(Path("trained")))
+    assert about["cells_sha256"] == cells_sha256(Params())
+
+
+@pytest.mark.parametrize("part", ["gait", "discretizer", "reward", "value", "learner"])
+def test_each_part_that_is_named_makes_other_cells(part: str) -> None:
+    """Whichever part and whichever class: no two of them can be confused, nor with the default."""
+    names = [{f"parts.{part}": path} for path in ("mine.A", "mine.B")]
+    others = [{f"parts.{each}": "mine.A"} for each in ("gait", "reward") if each != part]
+    every: list[dict[str, Any]] = [{}, *names, *others, {"state.hip_bins": 5, **names[0]}]
+    hashes = [cells_sha256(replace(Params(), change)) for change in every]
+    assert len(set(hashes)) == len(every)
+
+
+def test_another_oscillator_makes_no_other_cells() -> None:
+    """A table says what to do at a phase, whoever makes the phase."""
+    params = replace(Params(), {"parts.cpg": "mine.Hopf", "parts.reward": "mine.Reward"})
+    without = replace(Params(), {"parts.reward": "mine.Reward"})
+    assert cells_sha256(params) == cells_sha256(without)
+
+
+def test_most_legs() -> None:
+    """64 legs are a robot, 65 are none."""
+
+    def of(count: int) -> dict[str, Any]:
+        return {
+            "robot.legs": [f"leg_{n}" for n in range(count)],
+            "robot.segment": ["front"] * count,
+            "robot.mount": [0.0] * count,
+            "robot.side": [1.0] * count,
+            "robot.offset": [0.0] * count,
+        }
+
+    assert len(replace(Params(), of(64)).robot.legs) == 64
+    with pytest.raises(ParameterError, match="up to 64 would be right"):
+        replace(Params(), of(65))
 
 
 def test_replace_takes_many_of_one_group() -> None:

@@ -14,6 +14,8 @@ from ember_ros.errors import ParameterError
 from ember_ros.params import SPECS, Params, flat
 from ember_ros.params_file import changed, load_params, read_settings
 
+pytestmark = pytest.mark.ros
+
 HEAD = "/**:\n  ros__parameters:\n"
 
 
@@ -25,7 +27,7 @@ def in_file(file: Path, text: str) -> Path:
 
 def by_node(*files: Path) -> dict[str, Any] | None:
     """Return what a node reads; None where rcl or the node refuses it."""
-    rclpy = pytest.importorskip("rclpy")
+    import rclpy
     from rclpy.signals import SignalHandlerOptions
 
     from ember_ros.ros_params import declare_params
@@ -84,16 +86,25 @@ SCALARS = (
     "[0.5, 1]", "[]", "[[0.1]]", "{a: 1}", "1.0e+0", "9223372036854775807", "9223372036854775808",
     "9" * 5000, "[" * 3000, "- 1", "0.01 # a word", "0,5", "1.2.3", "0b1", "0o17", "1e", "--1",
     "1e-310", "-1e-400", "0e-400", "0.0", "2.2250738585072014e-308",
+    "mine.rewards.Mine", "'mine.Mine'", "mine:Mine", "[a, b, c, d]", "['a', b, c, d]", "[a, b]",
+    "[a, 1, c, d]", "['1', a, b, c]", "[a, yes, c, d]", "[a, a, c, d]", "a, b",
 )  # fmt: skip
 
 
 @pytest.mark.parametrize(
     "name",
-    ["reward.slip_scale", "train.epsilon_cycles", "state.force_edges", "trainer.modulation"],
+    [
+        "reward.slip_scale",
+        "train.epsilon_cycles",
+        "state.force_edges",
+        "trainer.modulation",
+        "parts.reward",
+        "robot.legs",
+    ],
 )
 @pytest.mark.parametrize("scalar", SCALARS, ids=lambda text: text[:20])
 def test_every_way_to_write_a_value(tmp_path: Path, name: str, scalar: str) -> None:
-    """A number, a whole number and a list, written in ways that readers of YAML differ in."""
+    """A number, a whole one, a list, a text, names, in ways that readers of YAML differ in."""
     group, field = name.split(".")
     alike(in_file(tmp_path / "p.yaml", f"{HEAD}    {group}:\n      {field}: {scalar}\n"))
 
@@ -224,7 +235,7 @@ def test_set_is_read_as_a_file_is() -> None:
         "walker.length": "group.field=value would be right",
         "walker.length=": "empty",
         "walker.length=1_0": "must be a number",
-        "walker.length=[1.0": "no YAML",
+        "walker.length=[1.0": "not YAML",
         "walker.length=*a": "anchors",
     }.items():
         with pytest.raises(ParameterError, match=why):

@@ -7,13 +7,21 @@ from pathlib import Path
 import pytest
 
 from ember_ros.errors import ParameterError
-from ember_ros.params import Params, as_dict, flat
-from ember_ros.params_file import CONFIG, config_names, dump_params, load_params
+from ember_ros.params import Params, as_dict, cells_sha256, flat, replace
+from ember_ros.params_file import CONFIG, config_names, dump_params, load_params, robot_legs
 
 
 def test_every_file_that_comes_with_the_package_is_one() -> None:
     """Each can be read by its name and by its path, and says the same."""
-    assert {"plain", "reference", "easy", "short", "narrow", "modulated"} == set(config_names())
+    assert {
+        "plain",
+        "reference",
+        "easy",
+        "short",
+        "narrow",
+        "modulated",
+        "hexapod",
+    } == set(config_names())
     for name in config_names():
         assert load_params(name) == load_params(CONFIG / f"{name}.yaml")
 
@@ -43,7 +51,17 @@ def test_plain_is_the_papers_learner() -> None:
         assert numbers.smooth == numbers.prior == 0.0
     assert plain.reward.lead == 0
     same = [group for group, part in as_dict(plain).items() if part == as_dict(default)[group]]
-    assert set(same) == {"gait", "leg", "physics", "trainer", "walker", "state"}
+    assert set(same) == {
+        "gait",
+        "leg",
+        "physics",
+        "trainer",
+        "walker",
+        "robot",
+        "parts",
+        "state",
+        "script",
+    }
 
 
 def test_a_later_file_wins(tmp_path: Path) -> None:
@@ -66,7 +84,7 @@ def test_a_file_here_comes_before_one_of_the_package(
 
 def test_a_name_of_nothing_is_told_with_those_there_are() -> None:
     """A slip of the pen is answered with the names."""
-    with pytest.raises(ParameterError, match=r"narow.*easy, modulated, narrow, plain"):
+    with pytest.raises(ParameterError, match=r"narow.*easy, hexapod, modulated, narrow, plain"):
         load_params("narow")
 
 
@@ -77,3 +95,45 @@ def test_an_option_of_nodes_is_told_from_a_number_of_the_robot(tmp_path: Path, o
     file.write_text(f"/**: {{ros__parameters: {{{option}: 3}}}}")
     with pytest.raises(ParameterError, match=rf"{option} is an option of nodes.*-p {option}:="):
         load_params(file)
+
+
+def test_the_hexapod_is_another_body_for_the_same_leg() -> None:
+    """It changes the body alone, so that every table fits; six legs in an alternating tripod."""
+    params = load_params("hexapod")
+    changed = {full for full, value in flat(params) if value != dict(flat(Params()))[full]}
+    assert {name.split(".")[0] for name in changed} == {"robot", "walker"}
+    assert cells_sha256(params) == cells_sha256(Params())
+    robot = params.robot
+    assert len(robot.legs) == 6
+    tripods = [
+        {leg for leg, offset in zip(robot.legs, robot.offset, strict=True) if offset == half}
+        for half in (0.0, 0.5)
+    ]
+    assert tripods[0] == {"front_left", "middle_right", "rear_left"}
+    assert tripods[1] == {"front_right", "middle_left", "rear_right"}
+
+
+def test_texts_and_lists_of_them_come_from_a_file_and_back(tmp_path: Path) -> None:
+    """Written out and read again, the same robot; by ``--set`` too."""
+    params = replace(load_params("hexapod"), {"parts.reward": "mine.rewards.Mine"})
+    file = tmp_path / "p.yaml"
+    file.write_text(dump_params(params))
+    assert load_params(file) == params
+    assert load_params("hexapod", settings=["parts.reward=mine.rewards.Mine"]) == params
+    told = load_params(settings=["robot.legs=[a, b, c, d]"])
+    assert told.robot.legs == ("a", "b", "c", "d")
+
+
+def test_the_legs_of_a_robot_are_read_for_what_starts_nodes(tmp_path: Path) -> None:
+    """The last file that names any; options of nodes in it are no matter."""
+    file = tmp_path / "p.yaml"
+    file.write_text("/**: {ros__parameters: {seed: 3, robot: {legs: [a, b]}}}")
+    assert robot_legs([]) == Params().robot.legs
+    assert robot_legs([CONFIG / "hexapod.yaml"]) == load_params("hexapod").robot.legs
+    assert robot_legs([CONFIG / "hexapod.yaml", file]) == ("a", "b")
+    assert robot_legs([file, CONFIG / "plain.yaml"]) == ("a", "b")
+    file.write_text("/**: {ros__parameters: {robot: {legs: [A]}}}")
+    with pytest.raises(ParameterError, match=r"robot\.legs must be a name in lower case"):
+        robot_legs([file])
+    with pytest.raises(ParameterError, match=r"none\.yaml"):
+        robot_legs([tmp_path / "none.yaml"])

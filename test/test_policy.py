@@ -10,17 +10,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ember_ros.kinematics import height
-from ember_ros.params import Learning, Params
+from ember_ros.params import Learning, Params, replace
 from ember_ros.randomness import WORLD, generator
-from ember_ros.signals import TRAINER_LEG, LegSense
-from leg_node.gait import LegGait
+from ember_ros.signals import LegSense
+from leg_node.gait import GaitStep, HipRamp
 from leg_node.policy import EpsilonGreedy, Random, Scripted, epsilon_at
-from leg_node.reading import PlainReading
 from leg_node.table import Table
+from support.gaits import PlainGait
+from support.legs import beat
 
 TICKS = 32
 PARAMS = Params()
 SPEEDS = PARAMS.leg.knee_speeds
+STEP = GaitStep(stance=True, ticks_to_stance=0.0, hip_goal=0.0)
+"""For policies that do not look at the gait."""
+
+
+def nothing(tick: int, state: int) -> list[float]:
+    """Return the values for policies that do not ask for any."""
+    raise AssertionError(f"the values of state {state} are asked for at tick {tick}")
 
 
 def sense(tick: int = 0, hip: float = 0.0, knee: float = 0.5, pitch: float = 0.0) -> LegSense:
@@ -37,7 +45,16 @@ def greedy(
     table = Table(len(rows), len(rows[0]))
     table.values[:] = np.ravel(rows)
     learning = Learning(epsilon_start=start, epsilon_end=end, epsilon_cycles=cycles)
-    return EpsilonGreedy(PlainReading(table), learning, len(rows[0]), TICKS, generator(seed, 0))
+    return over(table, learning, seed)
+
+
+def over(table: Table, learning: Learning, seed: int = 1, start_cycle: int = 0) -> EpsilonGreedy:
+    """Return a policy over a table, with as many knee speeds as it has actions."""
+    speeds = tuple(float(n) for n in range(table.actions))
+    params = replace(PARAMS, {"leg.knee_speeds": speeds})
+    return EpsilonGreedy(
+        params, learning, lambda tick, state: table.row(state), generator(seed, 0), start_cycle
+    )
 
 
 # -- epsilon-greedy ------------------------------------------------------------------------------
@@ -72,13 +89,13 @@ def test_epsilon_stays_between_its_ends(start: float, end: float, cycles: int, c
 def test_the_best_action_without_exploration(row: list[float]) -> None:
     """With epsilon 0 the largest value of the state's own row is chosen, always."""
     policy = greedy([[0.0] * len(row), row, [9.0] * len(row)])
-    assert {policy.choose(sense(tick), 0.0, 1) for tick in range(20)} == {row.index(max(row))}
+    assert {policy.choose(sense(tick), STEP, 1) for tick in range(20)} == {row.index(max(row))}
 
 
 def test_ties_are_broken_at_random() -> None:
     """Equal best actions are chosen equally often; a lesser one never is."""
     policy = greedy([[1.0, 0.0, 1.0, 1.0]])
-    count = Counter(policy.choose(sense(tick), 0.0, 0) for tick in range(3000))
+    count = Counter(policy.choose(sense(tick), STEP, 0) for tick in range(3000))
     assert set(count) == {0, 2, 3}
     assert min(count.values()) > 900
 
@@ -86,7 +103,7 @@ def test_ties_are_broken_at_random() -> None:
 def test_a_leg_that_knows_nothing_tries_everything() -> None:
     """The first actions are random ones, not the first of the list."""
     policy = greedy([[0.0] * 9])
-    count = Counter(policy.choose(sense(tick), 0.0, 0) for tick in range(4500))
+    count = Counter(policy.choose(sense(tick), STEP, 0) for tick in range(4500))
     assert set(count) == set(range(9))
     assert min(count.values()) > 400
 
@@ -94,7 +111,7 @@ def test_a_leg_that_knows_nothing_tries_everything() -> None:
 def test_exploration_has_its_share() -> None:
     """With epsilon 0.3 of 9 actions, the best is chosen in 0.7 + 0.3 / 9 of all ticks."""
     policy = greedy([[0.0] * 8 + [1.0]], start=0.3, end=0.3)
-    count = Counter(policy.choose(sense(tick), 0.0, 0) for tick in range(9000))
+    count = Counter(policy.choose(sense(tick), STEP, 0) for tick in range(9000))
     assert count[8] / 9000 == pytest.approx(0.7 + 0.3 / 9, abs=0.02)
     assert min(count[n] for n in range(8)) > 0.5 * 9000 * 0.3 / 9
 
@@ -102,7 +119,7 @@ def test_exploration_has_its_share() -> None:
 def test_the_share_follows_the_tick() -> None:
     """All random in the first cycle and none in the next, as the schedule says."""
     policy = greedy([[0.0, 1.0]], start=1.0, end=0.0, cycles=1)
-    chosen = [policy.choose(sense(tick), 0.0, 0) for tick in range(4 * TICKS)]
+    chosen = [policy.choose(sense(tick), STEP, 0) for tick in range(4 * TICKS)]
     assert 0 < sum(chosen[:TICKS]) < TICKS
     assert chosen[TICKS:] == [1] * (3 * TICKS)
 
@@ -110,20 +127,28 @@ def test_the_share_follows_the_tick() -> None:
 def test_the_share_follows_the_tick_over_missed_ticks() -> None:
     """A leg that was away at the start of a cycle explores as this cycle says, not as the last."""
     policy = greedy([[0.0, 1.0]], start=1.0, end=0.0, cycles=1)
-    policy.choose(sense(0), 0.0, 0)
-    assert {policy.choose(sense(tick), 0.0, 0) for tick in range(TICKS + 1, 2 * TICKS)} == {1}
+    policy.choose(sense(0), STEP, 0)
+    assert {policy.choose(sense(tick), STEP, 0) for tick in range(TICKS + 1, 2 * TICKS)} == {1}
 
 
 def test_the_table_is_read_as_it_is_now() -> None:
     """A policy keeps no copy of the values: what was learnt this tick counts this tick."""
     table = Table(1, 2)
-    policy = EpsilonGreedy(
-        PlainReading(table), Learning(epsilon_start=0.0, epsilon_end=0.0), 2, TICKS, generator(0, 0)
-    )
+    policy = over(table, Learning(epsilon_start=0.0, epsilon_end=0.0))
     for best in (0, 1, 0):
         table.put(best, 1.0, 1)
         table.put(1 - best, 0.0, 1)
-        assert policy.choose(sense(), 0.0, 0) == best
+        assert policy.choose(sense(), STEP, 0) == best
+
+
+def test_exploration_goes_on_from_the_cycles_that_were_learnt_before() -> None:
+    """A leg that starts at cycle 3 of a schedule explores as one that lived through three."""
+    table, learning = Table(1, 2), Learning(epsilon_start=1.0, epsilon_end=0.0, epsilon_cycles=3)
+    table.put(1, 1.0, 1)
+    later = over(table, learning, start_cycle=3)
+    assert {later.choose(sense(tick), STEP, 0) for tick in range(2 * TICKS)} == {1}
+    fresh = over(table, learning)
+    assert {fresh.choose(sense(tick), STEP, 0) for tick in range(TICKS)} == {0, 1}
 
 
 # -- random --------------------------------------------------------------------------------------
@@ -131,16 +156,16 @@ def test_the_table_is_read_as_it_is_now() -> None:
 
 def test_random_actions_are_uniform() -> None:
     """Each action has its ninth."""
-    policy = Random(9, generator(3, 0))
-    count = Counter(policy.choose(sense(tick), 0.0, 0) for tick in range(9000))
+    policy = Random(PARAMS, PARAMS.walk, nothing, generator(3, 0))
+    count = Counter(policy.choose(sense(tick), STEP, 0) for tick in range(9000))
     assert set(count) == set(range(9))
     assert all(900 < n < 1100 for n in count.values())
 
 
 def draws(seed: int, who: int) -> list[int]:
     """Return the first actions of a leg that acts at random."""
-    policy = Random(9, generator(seed, who))
-    return [policy.choose(sense(tick), 0.0, 0) for tick in range(40)]
+    policy = Random(PARAMS, PARAMS.walk, nothing, generator(seed, who))
+    return [policy.choose(sense(tick), STEP, 0) for tick in range(40)]
 
 
 def test_a_seed_decides_everything() -> None:
@@ -148,8 +173,8 @@ def test_a_seed_decides_everything() -> None:
     assert draws(7, 2) == draws(7, 2)
     for epsilon in (0.0, 0.5, 1.0):
         one, other = (greedy([[0.0] * 9], start=epsilon, end=epsilon, seed=4) for _ in range(2))
-        assert [one.choose(sense(n), 0.0, 0) for n in range(40)] == [
-            other.choose(sense(n), 0.0, 0) for n in range(40)
+        assert [one.choose(sense(n), STEP, 0) for n in range(40)] == [
+            other.choose(sense(n), STEP, 0) for n in range(40)
         ]
 
 
@@ -172,23 +197,24 @@ def test_a_leg_s_numbers_do_not_depend_on_other_legs() -> None:
 # -- scripted ------------------------------------------------------------------------------------
 
 
-def script() -> tuple[Scripted, LegGait]:
-    """Return the script of a leg without phase offset, and its gait."""
-    gait = LegGait(PARAMS.gait, TRAINER_LEG)
-    return Scripted(PARAMS, gait), gait
+def script(params: Params = PARAMS) -> Scripted:
+    """Return the script, and let no number be drawn by it."""
+    return Scripted(params, params.walk, nothing, None)  # type: ignore[arg-type]
 
 
-def follow(cycles: int, pitch: float = 0.0) -> list[tuple[int, float, float]]:
+def follow(
+    cycles: int, pitch: float = 0.0, params: Params = PARAMS
+) -> list[tuple[int, float, float]]:
     """Return (tick of the cycle, knee, height) after each tick of a leg that obeys at once."""
-    policy, gait = script()
+    policy, ramp, plain = script(params), HipRamp(params, 0.0), PlainGait(params)
     tick_s, leg = PARAMS.gait.tick_s, PARAMS.leg
     hip, knee, out = PARAMS.gait.hip_front, 0.5, []
     for tick in range(cycles * TICKS):
-        phase = tick / TICKS
-        action = policy.choose(sense(tick, hip, knee, pitch), phase, 0)
+        felt = sense(tick, hip, knee, pitch)
+        action = policy.choose(felt, ramp.step(beat(tick), felt), 0)
         assert 0 <= action < len(SPEEDS)
         knee = max(0.0, min(leg.knee_max, knee + SPEEDS[action] * tick_s))
-        hip = gait.hip_goal(phase)
+        hip = plain.hip_goal(tick)
         out.append((tick % TICKS, knee, height(leg, knee, hip - knee + pitch)))
     return out
 
@@ -224,6 +250,19 @@ def test_the_script_feels_the_body_s_pitch(pitch: float) -> None:
 
 
 def test_the_script_draws_no_numbers() -> None:
-    """Same senses, same phase: the same action, whatever the state."""
-    policy, _ = script()
-    assert len({policy.choose(sense(3, 0.1, 0.4), 3 / 32, state) for state in range(50)}) == 1
+    """Same senses, same step of the gait: the same action, whatever the state."""
+    policy, felt = script(), sense(3, 0.1, 0.4)
+    step = HipRamp(PARAMS, 0.0).step(beat(3), felt)
+    assert len({policy.choose(felt, step, state) for state in range(50)}) == 1
+
+
+def test_the_script_has_numbers_of_its_own() -> None:
+    """It bends the knee in swing as far as it is told, and puts it down as early as it is told."""
+    less = replace(PARAMS, {"script.swing_bend": 0.9})
+    assert max(knee for n, knee, _ in follow(3, params=less) if n in (26, 27)) < 1.1
+    never = replace(PARAMS, {"script.reach_ticks": 0})
+    knees = {n: knee for n, knee, _ in follow(3, params=never)}
+    assert knees[31] == pytest.approx(knees[27], abs=0.25)
+    early = replace(PARAMS, {"script.reach_ticks": 6})
+    knees, usual = ({n: knee for n, knee, _ in follow(3, params=each)} for each in (early, PARAMS))
+    assert knees[27] < usual[27] - 0.3

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 import yaml
@@ -19,30 +19,29 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.srv import GetParameters
 
 from ember_ros import topics
-from ember_ros.children import command_of
+from ember_ros.children import module_command
+from ember_ros.entry_points import NODES
 from ember_ros.errors import GraphError
-from ember_ros.graph import LEG_MODULE, MODULES, Graph, Processes, node_options, processes
+from ember_ros.graph import Graph, Processes, node_options, processes
+from ember_ros.name_lock import NAME_TAKEN, NameTakenError
 from ember_ros.params import Params, as_dict, replace
-from ember_ros.params_file import dump_params
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import load_record
-from ember_ros.seat import TAKEN, TakenError
-from ember_ros.signals import LEGS
+from ember_ros.params_file import dump_params, load_params
+from ember_ros.report.run_statistics import load_record
+from ember_ros.run_config import RunConfig
 from leg_node.table_file import load_table
+from support.legs import LEGS
+from support.robot import LEG_NODES, PATIENCE_S, level
+from support.ros import Ros
+from support.runs import Bits
+from support.waiting import in_time
 
-if TYPE_CHECKING:
-    from test.conftest import Bits, Ros
+pytestmark = pytest.mark.slow
 
 CYCLES = 20
 TICKS = 32
 FOREVER = 10**6
-PATIENCE_S = 30.0
-"""Wall time that nodes wait where bits are compared: a busy machine must not change them."""
 STOP_S = 20.0
 """Wall time in which a process that was asked to stop must have stopped."""
-
-
-LEG_NODES = tuple(f"leg_{leg}" for leg in LEGS)
 
 
 def wire_tick(message: Any) -> int:
@@ -51,47 +50,50 @@ def wire_tick(message: Any) -> int:
     return int((stamp.sec * 10**9 + stamp.nanosec) // Params().gait.tick_ns)
 
 
-def walk(sync_every: int = 32, **options: Any) -> Plan:
+def walk(sync_every: int = 32, **options: Any) -> RunConfig:
     """Return a plan of a walker that learns."""
     params = replace(Params(), {"walk.sync_every": sync_every})
-    return Plan("walker", CYCLES, params=params, **options)
+    return RunConfig("walker", CYCLES, params=params, **options)
 
 
 # -- the same bits -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    "plan",
+    "config",
     [
         walk(sync_every=48, seed=4),
         walk(sync_every=1, seed=3),
-        Plan("trainer", 2 * CYCLES, seed=5),
+        RunConfig("trainer", 2 * CYCLES, seed=5),
+        RunConfig("walker", 4, seed=6, params=load_params("hexapod")),
     ],
-    ids=["walker, the end within an epoch", "walker, one table for all", "trainer"],
+    ids=["walker, the end within an epoch", "walker, one table for all", "trainer", "hexapod"],
 )
 def test_processes_end_with_the_bits_of_the_loop(
-    ros: Ros, tmp_path: Path, by_loop: Callable[[Plan], Bits], plan: Plan
+    ros: Ros, tmp_path: Path, by_loop: Callable[[RunConfig], Bits], config: RunConfig
 ) -> None:
     """Table, senses and commands are equal, bit for bit; nobody refuses anything or is late."""
     diagnostics = ros.messages(topics.DIAGNOSTICS, matched=False)
 
+    go_on = in_time()
+
     def look_on() -> bool:
         ros.spin_once(0.0)
-        return True
+        return go_on()
 
-    with processes(plan, tmp_path, patience=PATIENCE_S) as running:
+    with processes(config, tmp_path, patience=PATIENCE_S) as running:
         running.wait(look_on)
     codes = {name: process.returncode for name, process in running.processes.items()}
     assert codes == dict.fromkeys(codes, 0)
     measured = load_record(tmp_path).measured
-    table, about = load_table(tmp_path / "table.npz", plan.params)
-    expected = by_loop(plan)
+    table, about = load_table(tmp_path / "table.npz", config.params)
+    expected = by_loop(config)
     assert table.sha256() == expected.table
     assert measured["senses_sha256"] == expected.senses
     assert measured["commands_sha256"] == expected.commands
     assert measured["falls"] == expected.falls
     assert not any(measured["absent_ticks"].values())
-    assert about["seed"] == plan.seed
+    assert about["seed"] == config.seed
     for log in (tmp_path / "log").iterdir():
         said = log.read_text()
         for word in ("refused", "Traceback", "error", "absent", "alone"):
@@ -105,7 +107,7 @@ def test_a_process_that_cannot_start_is_named_with_what_it_said(ros: Ros, tmp_pa
     running = Processes(walk(table=tmp_path / "none.npz"), tmp_path / "out")
     try:
         with pytest.raises(GraphError, match=r"table_node ended with code 2 .* there is no table"):
-            running.wait()
+            running.wait(in_time())
     finally:
         running.stop()
     assert all(process.returncode is not None for process in running.processes.values())
@@ -117,14 +119,14 @@ def test_a_process_that_cannot_start_is_named_with_what_it_said(ros: Ros, tmp_pa
 class Fleet:
     """The processes of a robot, each of which can be killed and started again."""
 
-    def __init__(self, ros: Ros, plan: Plan, out: Path, **options: dict[str, Any]) -> None:
+    def __init__(self, ros: Ros, config: RunConfig, out: Path, **options: dict[str, Any]) -> None:
         """Start all, with some options changed."""
         self._ros, self._out = ros, out
         self._params = out / "params.yaml"
-        self._params.write_text(dump_params(plan.params), encoding="utf-8")
+        self._params.write_text(dump_params(config.params), encoding="utf-8")
         self.options = {
             name: {**given, **options.get(name, {})}
-            for name, given in node_options(plan, out).items()
+            for name, given in node_options(config, out).items()
         }
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self.ended: list[tuple[str, int]] = []
@@ -137,7 +139,7 @@ class Fleet:
 
     def start(self, name: str) -> None:
         """Start a process as ``ros2 run`` would."""
-        command = [sys.executable, "-m", MODULES.get(name, LEG_MODULE), "--ros-args"]
+        command = [sys.executable, "-m", NODES.get(name, NODES["leg_node"]), "--ros-args"]
         command += ["--params-file", str(self._params), "-r", f"__node:={name}"]
         for option, value in self.options[name].items():
             if value != "":
@@ -150,7 +152,7 @@ class Fleet:
     def kill(self, name: str) -> None:
         """Kill a process with a signal that it cannot catch, or say goodbye to others."""
         self.processes[name].kill()
-        assert self.processes[name].wait() == -signal.SIGKILL
+        assert self.processes[name].wait(STOP_S) == -signal.SIGKILL
         self._ros.killed.add(f"/{name}")
 
     def log(self, name: str) -> Path:
@@ -168,8 +170,7 @@ class Fleet:
         """Return the level and the text of a part in the last diagnostics."""
         if not self.diagnostics:
             return b"", ""
-        (status,) = (s for s in self.diagnostics[-1].status if s.name == name)
-        return status.level, status.message
+        return level(self.diagnostics[-1], name)
 
     def until(self, condition: Callable[[], Any], what: str) -> None:
         """Spin until a condition holds; nobody but who was killed may have ended."""
@@ -214,7 +215,7 @@ class Fleet:
             return process.wait(STOP_S)
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGABRT)  # rclpy has faulthandler print where it is
-            process.wait()
+            process.wait(STOP_S)
             raise AssertionError(f"{name} does not stop: {self.log(name).read_text()}") from None
 
     def kill_all(self) -> None:
@@ -222,7 +223,7 @@ class Fleet:
         for process in self.processes.values():
             if process.poll() is None:
                 process.kill()
-            process.wait()
+            process.wait(STOP_S)
 
 
 @pytest.fixture(scope="module")
@@ -288,7 +289,7 @@ def test_legs_go_on_while_the_table_is_gone_and_come_back_to_it(
     fleet.until_it_walks_on()
     fleet.start("table_node")
     fleet.until(
-        lambda: "taken up where it was cut off" in fleet.log("table_node").read_text(),
+        lambda: "recovered after a crash" in fleet.log("table_node").read_text(),
         "the table takes up its journal",
     )
     ros_of_module.node.destroy_client(pull)
@@ -309,7 +310,7 @@ def test_a_sim_that_is_killed_and_started_again_begins_time_anew(fleet: Fleet) -
     fleet.kill("sim_node")
     fleet.start("sim_node")
     fleet.until(
-        lambda: all("time began anew" in fleet.log(f"leg_{leg}").read_text() for leg in LEGS),
+        lambda: all("time restarted" in fleet.log(f"leg_{leg}").read_text() for leg in LEGS),
         "every leg notices",
     )
     heard = len(fleet.clock)
@@ -328,7 +329,7 @@ def test_a_second_process_of_a_name_does_not_join(fleet: Fleet, tmp_path: Path) 
     }
     seconds = {
         name: subprocess.Popen(
-            [*command_of(MODULES.get(name, LEG_MODULE)), "--ros-args", *arguments],
+            [*module_command(NODES.get(name, NODES["leg_node"])), "--ros-args", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -342,10 +343,10 @@ def test_a_second_process_of_a_name_does_not_join(fleet: Fleet, tmp_path: Path) 
         for process in seconds.values():
             process.kill()
     for name, process in seconds.items():
-        said, _ = process.communicate()
+        said, _ = process.communicate(timeout=STOP_S)
         first = "leg_rear_left" if name == "leg_node" else name
         elder = fleet.processes[first].pid
-        assert process.returncode == TAKEN, said
+        assert process.returncode == NAME_TAKEN, said
         assert said.startswith("error: ")
         assert f" is taken by /{first} (process {elder}); " in said
         assert said.count("\n") == 1
@@ -356,13 +357,13 @@ def test_a_second_process_of_a_name_does_not_join(fleet: Fleet, tmp_path: Path) 
 def test_a_second_run_is_refused_before_it_starts_anything(ros: Ros, tmp_path: Path) -> None:
     """It says who is there, and makes no folder; in another namespace it would be another robot."""
     with processes(walk(), tmp_path / "first", patience=PATIENCE_S) as first:
-        with pytest.raises(TakenError, match=rf"/sim_node \(process {os.getpid()}\)"):
+        with pytest.raises(NameTakenError, match=rf"/sim_node \(process {os.getpid()}\)"):
             Processes(walk(), tmp_path / "second")
         assert not (tmp_path / "second").exists()
-        with pytest.raises(TakenError, match="/sim_node"):
+        with pytest.raises(NameTakenError, match="/sim_node"):
             Graph(walk(), context=ros.context)
         with closing(Graph(walk(), context=ros.context, namespace="robot_2")):
-            first.wait()
+            first.wait(in_time())
     assert load_record(tmp_path / "first").measured["cycles"] == CYCLES
 
 
@@ -382,7 +383,9 @@ def test_no_pair_is_lost_or_doubled_when_the_table_is_killed(ros: Ros, tmp_path:
             fleet.kill("table_node")
             fleet.start("table_node")
             fleet.until(
-                lambda life=life: fleet.log("table_node").read_text().count("taken up") == life,  # type: ignore[misc]
+                lambda life=life: (
+                    fleet.log("table_node").read_text().count("recovered after") == life
+                ),  # type: ignore[misc]
                 f"life {life + 1} of the table",
             )
             fleet.until_it_walks_on()
@@ -405,9 +408,9 @@ def test_nothing_learnt_is_lost_when_all_are_stopped_at_once(
 
     Soon is before launch sends a stronger signal.
     """
-    plan = walk(seed=6, policy="scripted")  # that never falls: a fall teaches nothing
+    config = walk(seed=6, policy="scripted")  # that never falls: a fall teaches nothing
     sim = {"cycles": FOREVER, "out": "", "patience": PATIENCE_S}  # who comes late has learnt less
-    fleet = Fleet(ros, plan, tmp_path, sim_node=sim)
+    fleet = Fleet(ros, config, tmp_path, sim_node=sim)
     paid = {leg: ros.messages(topics.transition(leg), matched=False) for leg in LEGS}
     try:
         fleet.until(lambda: fleet.tick() > tick and all(paid.values()), "the robot walks")

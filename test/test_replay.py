@@ -3,46 +3,39 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import struct
-from collections.abc import Callable, Iterable, Sequence
-from importlib.util import find_spec
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import pytest
 
 from ember_ros import topics, wire
-from ember_ros.bag.card import Card
-from ember_ros.bag.reading import Bag, Raw
-from ember_ros.bag.recording import Recording, absolute
-from ember_ros.bag.relearn import relearn
-from ember_ros.bag.replay import Difference, Replayed, replay, verdict
-from ember_ros.bag.storage import BagOptions, BagWriter, read_metadata
+from ember_ros.bag.reader import Bag, Raw
+from ember_ros.bag.run_metadata import RunMetadata
+from ember_ros.bag.run_writer import absolute
+from ember_ros.bag.storage import BagOptions, read_metadata
 from ember_ros.errors import BagError, ParameterError
+from ember_ros.graph import by_graph
 from ember_ros.loop import Loop
+from ember_ros.offline.relearn import relearn
+from ember_ros.offline.replay import Difference, Replayed, by_loop, conclusion_of, replay
 from ember_ros.params import Params, replace
-from ember_ros.plan import Plan
 from ember_ros.run import run
-from ember_ros.signals import LEGS, LegCommand, LegSense
-from ember_ros.versions import versions
-from leg_node.gait import LegGait
-from leg_node.reward import Rewarder
-from leg_node.state import Partition
-from leg_node.table import Table, empty_table
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import LegCommand
+from leg_node.assembly import empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
+from support import bags
+from support.bags import KEPT, Made, write
+from support.configs import small_plan
+from support.learning import BagStatistics, literally
+from support.legs import LEGS
+from support.needs import needs_bags, needs_bullet
+from support.ros import Ros
 
-if TYPE_CHECKING:
-    from sim_node.world import World
-    from test.conftest import Ros
-
-pytestmark = pytest.mark.skipif(find_spec("rosbags") is None, reason="rosbags is missing")
-needs_bullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is missing")
-needs_ros = pytest.mark.skipif(
-    find_spec("rclpy") is None or find_spec("pybullet") is None,
-    reason="rclpy or pybullet is missing",
-)
+pytestmark = needs_bags
 
 TICKS = Params().gait.ticks
 TICK_NS = Params().gait.tick_ns
@@ -51,83 +44,33 @@ FALLS = {50, 51, 128}
 """The last one is where an epoch and, with ``smooth_every`` of 4, a smoothed reading begin."""
 
 
-SMALL: dict[str, Any] = {
-    "state.hip_bins": 5, "state.force_edges": [0.25, 1.0], "state.inclination_edges": [-0.6, -0.4],
-    "walk.epsilon_start": 0.2, "walk.epsilon_end": 0.2,
-}  # fmt: skip
-"""A walker that explores, on a small table: its cells are visited often, and it is saved fast."""
+def config(cycles: int = CYCLES, **options: Any) -> RunConfig:
+    """Return a plan on a small table; options with ``__`` in their names are parameters."""
+    return small_plan(cycles, **options)
 
 
-def params(**changes: Any) -> Params:
-    """Return numbers of a small walker with some changed; ``__`` stands for the dot."""
-    named = {name.replace("__", "."): value for name, value in changes.items()}
-    return replace(Params(), SMALL | named)
+def record(bag: Path, config: RunConfig, **how: Any) -> Made:
+    """Record a run of a plan in a world with falls."""
+    return bags.record(bag, config, falls_at=FALLS, **how)
 
 
-def plan(cycles: int = CYCLES, *, world: str = "walker", seed: int = 3, **options: Any) -> Plan:
-    """Return a plan; options with ``__`` in their names are parameters."""
-    changes = {name: options.pop(name) for name in list(options) if "__" in name}
-    return Plan(world, cycles, seed=seed, params=params(**changes), **options)
+raws_of = functools.cache(bags.raws_of)
 
 
-class Made(NamedTuple):
-    """A run that was recorded."""
-
-    bag: Path
-    plan: Plan
-    ticks: int
-    table: str
-    """SHA-256 at the end."""
-
-
-def record(folder: Path, plan: Plan, *, extra: int = 0, world: World | None = None) -> Made:
-    """Record a run of a plan in the loop, and some ticks more, in a world with falls."""
-    loop = Loop(plan, world or FakeWorld(plan.legs, plan.params, falls_at=FALLS))
-    writer = BagWriter(BagOptions(folder))
-    try:
-        card = Card.of_plan(plan, loop.shared.table, versions())
-        recording = Recording(writer, card, loop.shared.table)
-        for _ in range(plan.cycles * plan.params.gait.ticks + extra):
-            loop.tick(recording)
-        recording.finish()
-        sha = loop.finish().sha256()
-        writer.close({"table_sha256": sha})
-        return Made(folder, plan, recording.ticks, sha)
-    finally:
-        writer.abandon()
-        loop.close()
+BACKENDS = {"loop": by_loop, "graph": by_graph}
 
 
 def again(bag: Path, on: str = "loop") -> Replayed:
     """Replay a bag."""
     with Bag(bag) as opened:
-        return replay(opened, on=on)
-
-
-@functools.cache
-def raws_of(bag: Path) -> list[Raw]:
-    """Return all messages of a bag, in order."""
-    with Bag(bag) as opened:
-        return list(opened.raw())
-
-
-def copy(raws: Iterable[Raw], folder: Path, table_sha256: str | None = None) -> Path:
-    """Write messages into a bag."""
-    writer = BagWriter(BagOptions(folder))
-    try:
-        for raw in raws:
-            writer.write(writer.channel(raw.topic, raw.kind), raw.ns, raw.data)
-        writer.close({"table_sha256": table_sha256} if table_sha256 else None)
-    finally:
-        writer.abandon()
-    return folder
+        return replay(opened, run=BACKENDS[on])
 
 
 def rewrite(made: Made, folder: Path, change: Callable[[Raw], bytes | None]) -> Path:
     """Copy a bag message by message; ``change`` returns what becomes of one, None for nothing."""
     changed = ((raw, change(raw)) for raw in raws_of(made.bag))
-    return copy(
-        (raw._replace(data=data) for raw, data in changed if data is not None), folder, made.table
+    return write(
+        folder, (raw._replace(data=data) for raw, data in changed if data is not None), made.table
     )
 
 
@@ -147,14 +90,14 @@ def of_tick(tick: int) -> list[tuple[str, int]]:
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory: pytest.TempPathFactory) -> Made:
     """Record one run for all tests that only look at it."""
-    return record(tmp_path_factory.mktemp("walked") / "bag", plan(4))
+    return record(tmp_path_factory.mktemp("walked") / "bag", config(4))
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory, walked: Made) -> list[Made]:
     """Record three runs that know nothing of each other."""
     folder = tmp_path_factory.mktemp("runs")
-    others = [plan(2, seed=4, policy="random"), plan(3, seed=5, policy="scripted")]
+    others = [config(2, seed=4, policy="random"), config(3, seed=5, policy="scripted")]
     return [walked, *(record(folder / f"{n}", each) for n, each in enumerate(others))]
 
 
@@ -197,13 +140,13 @@ def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Made]:
         options = dict(RUNS[name])
         extra = options.pop("extra", 0)
         if options.get("table"):
-            before = plan(3, seed=9, policy="random")
+            before = config(3, seed=9, policy="random")
             loop = Loop(before, FakeWorld(LEGS, before.params))
             for _ in range(3 * TICKS):
                 loop.tick()
             options["table"] = folder / "before.npz"
             save_table(options["table"], loop.finish(), before.params, 9)
-        return record(folder / "bag", plan(**options), extra=extra)
+        return record(folder / "bag", config(**options), extra=extra)
 
     return made
 
@@ -213,26 +156,26 @@ def test_a_replay_is_the_run_bit_for_bit(run_of: Callable[[str], Made], name: st
     """All commands come out again, and the table at the end; if the legs learnt, it is another."""
     made = run_of(name)
     with Bag(made.bag) as bag:
-        assert bag.card is not None
-        begun = bag.card.start_table_sha256
+        assert bag.run_metadata is not None
+        begun = bag.run_metadata.start_table_sha256
         done = replay(bag)
         assert sum(tick.body.falls == 1 for tick in bag.ticks()) == 1
     assert (done.difference, done.missing, done.unanswered) == (None, None, {})
-    assert done.compared == made.ticks * len(made.plan.legs)
-    assert (done.ticks, done.cycles) == (made.ticks, made.ticks / made.plan.params.gait.ticks)
+    assert done.compared == made.ticks * len(made.config.legs)
+    assert (done.ticks, done.cycles) == (made.ticks, made.ticks / made.config.params.gait.ticks)
     assert done.table.sha256() == done.recorded_sha256 == made.table
     assert done.equal
-    assert (made.table != begun) == made.plan.learning
-    assert (begun != empty_table(made.plan.params).sha256()) == (made.plan.table is not None)
+    assert (made.table != begun) == made.config.learning
+    assert (begun != empty_table(made.config.params).sha256()) == (made.config.table is not None)
 
 
 @needs_bullet
 @pytest.mark.parametrize("world", ["walker", "trainer"])
 def test_a_replay_of_a_real_world_is_the_run(tmp_path: Path, world: str) -> None:
     """What Bullet made of a body that falls is shown again without Bullet, to the same bits."""
-    from ember_ros.plan import make_world
+    from ember_ros.worlds import make_world
 
-    narrow = plan(5, world=world, policy="random", walker__hip_half_width=0.02)
+    narrow = config(5, world=world, policy="random", walker__hip_half_width=0.02)
     made = record(tmp_path / "bag", narrow, world=make_world(world, narrow.params, narrow.seed))
     done = again(made.bag)
     assert done.equal
@@ -408,7 +351,7 @@ def test_a_sense_that_is_no_message_any_more_is_told(
 
 # -- what is missing ---------------------------------------------------------------------------
 
-ways = pytest.mark.parametrize("on", ["loop", pytest.param("graph", marks=needs_ros)])
+ways = pytest.mark.parametrize("on", ["loop", pytest.param("graph", marks=needs_bullet)])
 
 
 @pytest.fixture
@@ -421,7 +364,7 @@ def on_graph(on: str, request: pytest.FixtureRequest) -> str:
 
 def test_a_run_that_ended_within_a_cycle_is_replayed_to_its_end(tmp_path: Path) -> None:
     """Its last tick is the last one, and the table is the one it ended with."""
-    made = record(tmp_path / "bag", plan(2), extra=9)
+    made = record(tmp_path / "bag", config(2), extra=9)
     done = again(made.bag)
     assert (done.ticks, done.cycles) == (73, 73 / 32)
     assert (done.missing, done.difference) == (None, None)
@@ -435,7 +378,7 @@ def test_a_bag_that_was_cut_off_is_equal_up_to_there(
 ) -> None:
     """Messages up to the middle of a tick's commands: that tick too, as far as it is there."""
     kept = [raw for raw in raws_of(walked.bag) if raw.ns <= 77 * TICK_NS][:-7]
-    done = again(copy(kept, tmp_path / "bag"), on_graph)
+    done = again(write(tmp_path / "bag", kept), on_graph)
     assert (done.ticks, done.missing, done.difference) == (78, None, None)
     assert done.compared == 4 * 77 + 1
     assert done.unanswered == dict.fromkeys(LEGS[1:], 1)
@@ -462,7 +405,7 @@ MISSING: dict[str, tuple[list[tuple[str, int]], str]] = {
     ("what", "on"),
     [
         *((what, "loop") for what in MISSING),
-        *(pytest.param(what, "graph", marks=needs_ros) for what in ("contact", "two ticks")),
+        *(pytest.param(what, "graph", marks=needs_bullet) for what in ("contact", "two ticks")),
     ],
 )
 def test_a_record_with_a_hole_is_replayed_up_to_it(
@@ -521,7 +464,7 @@ def test_a_bag_of_another_recorder_is_not_replayed(tmp_path: Path, walked: Made)
     bag = rewrite(walked, tmp_path / "bag", lambda raw: None if "/run/" in raw.topic else raw.data)
     with pytest.raises(BagError, match=r"does not say what determined the run"):
         again(bag)
-    assert relearn([bag], params=walked.plan.params).table.sha256() == walked.table
+    assert relearn([bag], params=walked.config.params).table.sha256() == walked.table
 
 
 @pytest.mark.parametrize("name", ["values", "visits"])
@@ -552,11 +495,11 @@ def test_relearning_with_a_run_s_own_numbers_gives_its_table(
     made = run_of(name)
     learnt = relearn([made.bag])
     assert learnt.table.sha256() == made.table
-    assert learnt.params == made.plan.params
+    assert learnt.params == made.config.params
     assert (learnt.ticks, learnt.skipped) == (made.ticks, 0)
     falls = sum(tick < made.ticks for tick in FALLS)
     assert learnt.falls == falls
-    assert learnt.updates == len(made.plan.legs) * (made.ticks - 1 - falls)
+    assert learnt.updates == len(made.config.legs) * (made.ticks - 1 - falls)
     assert learnt.updates == learnt.table.visits.sum()
 
 
@@ -565,47 +508,18 @@ def test_relearning_from_the_table_of_the_run_gives_its_table(
 ) -> None:
     """A run that went on from a table is learnt again from that table."""
     made = run_of("learned, from a table, smoothed")
-    assert made.plan.table is not None
-    start, _ = load_table(made.plan.table, made.plan.params)
+    assert made.config.table is not None
+    start, _ = load_table(made.config.table, made.config.params)
     before = int(start.visits.sum())
     learnt = relearn([made.bag], table=start)
     assert learnt.table.sha256() == made.table
     assert learnt.updates == learnt.table.visits.sum() - before
 
 
-def paid(rewarder: Rewarder, sense: LegSense, stance: bool) -> float:
-    """Return the reward: its terms added one after the other, as no ``sum`` of Python 3.12 does."""
-    total = 0.0
-    for value in rewarder.terms(sense, stance).values():
-        total += value
-    return total
-
-
-def literally(bags: Sequence[Path], own: Params) -> Table:
-    """Return what four legs learn into one table, tick by tick and leg by leg, from bags."""
-    table, learning = empty_table(own), own.walk
-    partition, rewarder = Partition(own), Rewarder(own)
-    gaits = [LegGait(own.gait, leg) for leg in LEGS]
-    speeds = own.leg.knee_speeds
-    for path in bags:
-        with Bag(path) as bag:
-            ticks = list(bag.ticks())
-        for before, after in itertools.pairwise(ticks):
-            pairs = []
-            for n, gait in enumerate(gaits):
-                old, new, did = before.senses[n], after.senses[n], before.commands[n]
-                assert old is not None
-                assert new is not None
-                assert did is not None
-                if new.restart:
-                    continue
-                was, now = gait.stance(before.phase), gait.stance(after.phase)
-                cell = partition.index(old, was) * len(speeds) + speeds.index(did.knee_speed)
-                best = max(table.row(partition.index(new, now)))
-                pairs.append((cell, paid(rewarder, new, was) + learning.gamma * best))
-            for cell, target in pairs:
-                table.update(cell, target, learning.rate)
-    return table
+def seen(bag: Path) -> list[BagStatistics]:
+    """Return what legs could see in a bag."""
+    with Bag(bag) as opened:
+        return [(tick.beat, tick.senses, tick.commands) for tick in opened.ticks()]
 
 
 def test_relearning_with_other_numbers_is_what_would_have_been_learnt(runs: list[Made]) -> None:
@@ -615,16 +529,16 @@ def test_relearning_with_other_numbers_is_what_would_have_been_learnt(runs: list
         "walk.sync_every": 1, "walk.gamma": 0.7, "walk.alpha_floor": 0.2, "reward.slip": 2.0,
         "reward.swing_strike": -0.25, "state.hip_bins": 7, "state.force_edges": [0.1, 1.0],
     }  # fmt: skip
-    own = replace(runs[0].plan.params, changes)
+    own = replace(runs[0].config.params, changes)
     bags = [made.bag for made in runs]
     learnt = relearn(bags, changes)
     assert learnt.params == own
-    assert learnt.table.sha256() == literally(bags, own).sha256()
+    assert learnt.table.sha256() == literally(map(seen, bags), own).sha256()
 
 
 def test_many_bags_are_learnt_from_one_after_the_other(runs: list[Made]) -> None:
     """All in one go is the first, then the second with its table, and so on; sums add up."""
-    numbers = runs[0].plan.params
+    numbers = runs[0].config.params
     together = relearn([made.bag for made in runs])
     table, alone = None, []
     for made in runs:
@@ -640,7 +554,7 @@ def test_many_bags_are_learnt_from_one_after_the_other(runs: list[Made]) -> None
 def test_the_order_of_bags_is_kept_and_matters(runs: list[Made]) -> None:
     """Another order is another table with as many updates; the same order gives the same bits."""
     one, other = (made.bag for made in runs[:2])
-    numbers = runs[0].plan.params
+    numbers = runs[0].config.params
     orders = ([one, other], [other, one], [other, one])
     first, second, third = (relearn(bags, params=numbers) for bags in orders)
     assert first.updates == second.updates
@@ -651,7 +565,7 @@ def test_the_order_of_bags_is_kept_and_matters(runs: list[Made]) -> None:
 def test_a_pass_is_all_bags_once(runs: list[Made]) -> None:
     """Two passes are the bags named twice, in their order; sums are twice as much."""
     one, other = (made.bag for made in runs[:2])
-    numbers = runs[0].plan.params
+    numbers = runs[0].config.params
     twice = relearn([one, other], passes=2)
     assert twice.table.sha256() == relearn([one, other, one, other]).table.sha256()
     once = relearn([one, other], params=numbers)
@@ -677,15 +591,15 @@ def test_a_changed_number_changes_the_table_and_the_parameters(
 ) -> None:
     """What was changed is in what was learnt and beside it; the table's file goes with both."""
     learnt = relearn([walked.bag], {name: value})
-    assert learnt.params == replace(walked.plan.params, {name: value})
-    assert learnt.params != walked.plan.params
+    assert learnt.params == replace(walked.config.params, {name: value})
+    assert learnt.params != walked.config.params
     assert learnt.table.sha256() != walked.table
     assert learnt.updates == 4 * (walked.ticks - 1 - 2)
     # What belongs together works together: the table loads, and a robot walks on with it.
     file = tmp_path / "table.npz"
     save_table(file, learnt.table, learnt.params, 0)
     assert load_table(file, learnt.params)[0].sha256() == learnt.table.sha256()
-    going_on = Plan("walker", 1, params=learnt.params, table=file)
+    going_on = RunConfig("walker", 1, params=learnt.params, table=file)
     made = record(tmp_path / "bag", going_on)
     assert again(made.bag).equal
 
@@ -748,7 +662,7 @@ def test_a_knee_speed_that_is_no_action_is_refused(tmp_path: Path, walked: Made)
     ("name", "value"),
     [
         ("gait.period", 0.25),
-        ("gait.offset_rear_left", 0.25),
+        ("robot.offset", [0.0, 0.5, 0.25, 0.0]),
         ("leg.load", 30.0),
         ("leg.knee_speeds", [-1.0, 0.0, 1.0]),
     ],
@@ -765,7 +679,7 @@ def test_another_gait_or_leg_is_refused(
 
 def test_a_second_bag_of_another_leg_is_refused(tmp_path: Path, walked: Made) -> None:
     """Bags that are learnt from together are of one leg and one gait; the bag is named."""
-    other = record(tmp_path / "other", plan(1, leg__load=30.0))
+    other = record(tmp_path / "other", config(1, leg__load=30.0))
     with pytest.raises(BagError, match=rf"{other.bag} was recorded with leg\.load = 30\.0"):
         relearn([walked.bag, other.bag])
 
@@ -779,7 +693,7 @@ def test_two_runs_in_one_bag_are_not_taken_for_one(
     then = [raw._replace(ns=raw.ns + life * TICK_NS) for raw in raws_of(runs[2].bag)]
     both = [raw for raw in first + then if "/run/" not in raw.topic]
     with pytest.raises(BagError, match="there are two runs in this bag"):
-        relearn([copy(both, tmp_path / "bag")], params=runs[0].plan.params)
+        relearn([write(tmp_path / "bag", both)], params=runs[0].config.params)
 
 
 def test_a_change_that_is_none_is_refused(walked: Made) -> None:
@@ -802,7 +716,7 @@ def test_nothing_to_learn_from_and_a_stop_are_said(tmp_path: Path, walked: Made)
 
 # -- a whole run, three ways -------------------------------------------------------------------
 
-WALK = plan(4, seed=3)
+WALK = config(4, seed=3)
 
 
 def mcap_of(bag: Path) -> dict[str, bytes]:
@@ -810,7 +724,8 @@ def mcap_of(bag: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in bag.iterdir() if file.suffix == ".mcap"}
 
 
-@needs_ros
+@pytest.mark.slow
+@needs_bullet
 def test_loop_graph_and_processes_write_the_same_bytes(ros: Ros, tmp_path: Path) -> None:
     """One plan, three ways: MCAP files are equal, and replay equal on loop and on graph."""
     bags, summaries = {}, {}
@@ -837,11 +752,12 @@ def test_loop_graph_and_processes_write_the_same_bytes(ros: Ros, tmp_path: Path)
         assert (done.ticks, done.compared) == (4 * TICKS, 16 * TICKS)
 
 
-@needs_ros
+@pytest.mark.slow
+@needs_bullet
 def test_a_graph_that_is_stopped_leaves_a_whole_bag(ros: Ros, tmp_path: Path) -> None:
     """Its commands come out again; which table it ended with nobody can say, and nobody does."""
     bag = BagOptions(tmp_path / "bag")
-    endless = plan(10**6, walk__sync_every=48)
+    endless = config(10**6, walk__sync_every=48)
     _, summary = run(endless, "graph", tmp_path, lambda cycles, falls: cycles < 2, "test", bag)
     assert not summary["complete"]
     metadata = read_metadata(bag.folder)
@@ -859,7 +775,7 @@ def test_a_graph_that_is_stopped_leaves_a_whole_bag(ros: Ros, tmp_path: Path) ->
 def test_a_loop_that_is_stopped_knows_its_table(tmp_path: Path) -> None:
     """The loop stops between two ticks: the bag says what it ended with, and a replay agrees."""
     bag = BagOptions(tmp_path / "bag")
-    _, summary = run(plan(100), "loop", tmp_path, lambda cycles, falls: cycles < 2, "test", bag)
+    _, summary = run(config(100), "loop", tmp_path, lambda cycles, falls: cycles < 2, "test", bag)
     assert not summary["complete"]
     done = again(bag.folder)
     assert done.ticks == 2 * TICKS
@@ -871,24 +787,24 @@ def test_a_loop_that_is_stopped_knows_its_table(tmp_path: Path) -> None:
 def test_a_run_never_writes_over_a_bag(tmp_path: Path) -> None:
     """A bag that is there is said before anything of the last run is touched."""
     bag = BagOptions(tmp_path / "bag")
-    run(plan(1), "loop", tmp_path / "out", lambda *done: True, "test", bag)
+    run(config(1), "loop", tmp_path / "out", lambda *done: True, "test", bag)
     before = {f: f.read_bytes() for f in tmp_path.rglob("*") if f.is_file()}
     with pytest.raises(BagError, match="is there already"):
-        run(plan(2), "loop", tmp_path / "out", lambda *done: True, "test", bag)
+        run(config(2), "loop", tmp_path / "out", lambda *done: True, "test", bag)
     assert {f: f.read_bytes() for f in tmp_path.rglob("*") if f.is_file()} == before
 
 
 # -- the bag that comes with the package -------------------------------------------------------
 
-KEPT = Path(__file__).resolve().parents[1] / "bags" / "walk"
 
-
-@pytest.mark.parametrize("on", ["loop", pytest.param("graph", marks=needs_ros)])
+@pytest.mark.parametrize(
+    "on", ["loop", pytest.param("graph", marks=[needs_bullet, pytest.mark.slow])]
+)
 def test_the_bag_that_comes_with_the_package_is_replayed(on: str) -> None:
     """Recorded by another process, at another time: every command and the table come out equal."""
     with Bag(KEPT) as bag:
         assert bag.damages == []
-        done = replay(bag, on=on)
+        done = replay(bag, run=BACKENDS[on])
     assert done.equal
     assert done.recorded_sha256 == done.table.sha256()
     assert done.cycles >= 20
@@ -902,7 +818,7 @@ def test_the_bag_that_comes_with_the_package_is_small_and_whole() -> None:
     assert files == ["metadata.yaml", "walk_0.mcap"]
     assert sum(file.stat().st_size for file in KEPT.iterdir()) < 3_000_000
     with Bag(KEPT) as bag:
-        assert bag.card is not None
+        assert bag.run_metadata is not None
         assert sum(1 for _ in bag.ticks()) == bag.messages(topics.PHASE)
         assert bag.damages == []
 
@@ -920,9 +836,16 @@ def test_a_stopped_replay_says_that_it_was_stopped(tmp_path: Path) -> None:
 def test_legs_of_another_stage_are_not_replayed_as_of_this_one() -> None:
     """A card whose legs had other learning numbers than its world asks for is refused in words."""
     with Bag(KEPT) as bag:
-        assert bag.card is not None
-        legs = {leg: told._replace(stage="train") for leg, told in bag.card.legs.items()}
-        bag.card = Card(bag.card.world, legs, bag.card.params, bag.card.start_table_sha256, 0, {})
+        assert bag.run_metadata is not None
+        legs = {leg: told._replace(stage="train") for leg, told in bag.run_metadata.legs.items()}
+        bag.run_metadata = RunMetadata(
+            bag.run_metadata.world,
+            legs,
+            bag.run_metadata.params,
+            bag.run_metadata.start_table_sha256,
+            0,
+            {},
+        )
         assert bag.stage == "train"
         with pytest.raises(BagError, match="stage 'train'"):
             replay(bag)
@@ -937,11 +860,11 @@ def test_a_verdict_names_each_part_once(
 ) -> None:
     """In every combination: under equal, different or not recorded, and with one meaning."""
     parts = {"senses": senses, "commands": commands, "rewards": rewards, "table": table}
-    said = verdict(parts)
-    assert said.startswith("Verdict: ")
+    said = conclusion_of(parts)
+    assert said.startswith("Result: ")
     heads = {True: "equal: ", False: "different: ", None: "not recorded, or not to its end: "}
     found: dict[str, bool | None] = {}
-    for section in said.removeprefix("Verdict: ").partition(".")[0].split("; "):
+    for section in said.removeprefix("Result: ").partition(".")[0].split("; "):
         for value, head in heads.items():
             if section.startswith(head):
                 found |= dict.fromkeys(section.removeprefix(head).split(", "), value)
@@ -951,6 +874,6 @@ def test_a_verdict_names_each_part_once(
     )
     assert ("was changed" in said) is (not senses)
     altered = senses and table and False in (commands, rewards)
-    assert ("was altered" in said) is bool(altered)
-    assert ("so far" in verdict(parts, whole=False)) is ("bit for bit" in said)
-    assert "bit for bit" not in verdict(parts, whole=False)
+    assert ("was modified" in said) is bool(altered)
+    assert ("so far" in conclusion_of(parts, complete=False)) is ("bit for bit" in said)
+    assert "bit for bit" not in conclusion_of(parts, complete=False)

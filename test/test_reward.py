@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from ember_ros import kinematics
 from ember_ros.params import Params, Reward, replace
 from ember_ros.signals import LegSense
-from leg_node.reward import Rewarder, force_term, height_term, slip_term
+from leg_node.reward import PaperReward, force_term, height_term, slip_term
 
 PARAMS = Params()
 REWARD, LEG = PARAMS.reward, PARAMS.leg
-REWARDER = Rewarder(PARAMS)
+REWARDER = PaperReward(PARAMS)
 
 THIGH = 0.3
 KNEE = kinematics.knee_for_height(LEG, THIGH, LEG.operating_height)
@@ -121,7 +121,7 @@ def test_contact_is_force_within_the_tick() -> None:
 def test_forces_are_seen_in_loads() -> None:
     """A peak of twice the load is over the limit by 2 - limit loads, whatever the load."""
     for load in (LEG.load, 10.0):
-        rewarder = Rewarder(replace(PARAMS, {"leg.load": load}))
+        rewarder = PaperReward(replace(PARAMS, {"leg.load": load}))
         terms = rewarder.terms(STANDING._replace(force_peak=2.0 * load), True)
         assert terms["force"] == pytest.approx(REWARD.force * (2.0 - REWARD.force_limit))
 
@@ -132,7 +132,7 @@ def test_height_is_what_the_leg_itself_can_sense() -> None:
     error = kinematics.height(LEG, bent.knee, bent.inclination) - LEG.operating_height
     assert REWARDER.terms(bent, True)["height"] == REWARD.height * height_term(REWARD, error)
     other = STANDING._replace(
-        tick=3, hip=3.0, hip_speed=3.0, knee_speed=3.0, hair=True, restart=True
+        tick=3, hip=3.0, hip_speed=3.0, knee_speed=3.0, hair=True, first_tick=True
     )
     assert REWARDER.terms(other, True) == REWARDER.terms(STANDING, True)
 
@@ -174,5 +174,5 @@ def test_each_weight_is_its_term_s(name: str, sense: LegSense, stance: bool) -> 
     """A weight changes the term of its name, in proportion, and no other."""
     before = REWARDER.terms(sense, stance)
     weight = getattr(Reward(), name)
-    after = Rewarder(replace(PARAMS, {f"reward.{name}": 3.0 * weight})).terms(sense, stance)
+    after = PaperReward(replace(PARAMS, {f"reward.{name}": 3.0 * weight})).terms(sense, stance)
     assert after == {**before, name: pytest.approx(3.0 * before[name])}

@@ -15,18 +15,18 @@ import pytest
 import ember_ros.run
 from ember_ros import spinning
 from ember_ros.errors import ParameterError, StoppedError
-from ember_ros.plan import Plan
 from ember_ros.run import EARLIER, SUMMARY, TABLE, recover, run
+from ember_ros.run_config import RunConfig
 from leg_node.table_file import load_table
 
 pytest.importorskip("pybullet")
 
-PLAN = Plan("trainer", 3, seed=1)
+PLAN = RunConfig("trainer", 3, seed=1)
 
 
-def go(out: Path, plan: Plan = PLAN, way: str = "loop", **more: Any) -> dict[str, Any]:
+def go(out: Path, config: RunConfig = PLAN, way: str = "loop", **more: Any) -> dict[str, Any]:
     """Run a plan, as with ``--force``."""
-    return run(plan, way, out, more.get("go_on", lambda cycles, falls: True), "test")[1]
+    return run(config, way, out, more.get("go_on", lambda cycles, falls: True), "test")[1]
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -49,7 +49,6 @@ def test_where_ros_cannot_start_an_earlier_run_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str, value: str, way: str
 ) -> None:
     """The variable is named with what would be right, and nothing in the folder has changed."""
-    pytest.importorskip("rclpy")
     go(tmp_path)
     before = files(tmp_path)
     monkeypatch.setenv(variable, value)
@@ -69,7 +68,7 @@ def test_a_run_that_cannot_begin_brings_the_earlier_one_back(
     go(tmp_path)
     before = files(tmp_path)
 
-    def fails(plan: Plan, out: Path, *others: Any) -> None:
+    def fails(config: RunConfig, out: Path, *others: Any) -> None:
         assert not (out / SUMMARY).exists()
         (out / "cycles.csv").write_text("cycle,module\n")
         (out / TABLE).write_text("half")
@@ -113,7 +112,7 @@ def test_a_kill_at_any_point_before_the_first_cycle_costs_nothing_of_the_earlier
     before = files(earlier)
     start = earlier / TABLE if table else None
 
-    def begins(plan: Plan, out: Path, *others: Any) -> None:
+    def begins(config: RunConfig, out: Path, *others: Any) -> None:
         (out / "cycles.csv").write_text("cycle,module\n")
         (out / TABLE).write_bytes(b"half")
         raise ParameterError("it cannot begin")
@@ -121,12 +120,12 @@ def test_a_kill_at_any_point_before_the_first_cycle_costs_nothing_of_the_earlier
     for moves in range(60):
         out = tmp_path / str(moves)
         shutil.copytree(earlier, out)
-        plan = Plan("trainer", 3, seed=1, table=out / TABLE if start else None)
+        config = RunConfig("trainer", 3, seed=1, table=out / TABLE if start else None)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(ember_ros.run, "_loop", begins)
             killed_after(patch, moves)
             with pytest.raises((Killed, ParameterError)) as ended:
-                go(out, plan)
+                go(out, config)
         for again in (3, 1):  # two more are killed, while they bring it back
             with pytest.MonkeyPatch.context() as patch:
                 killed_after(patch, again)
@@ -147,7 +146,7 @@ def test_what_a_killed_run_had_set_aside_goes_once_it_had_begun(tmp_path: Path) 
     (tmp_path / EARLIER).mkdir()
     (tmp_path / EARLIER / SUMMARY).write_text("older")
     with pytest.raises(ParameterError, match="no policy"):
-        go(tmp_path, Plan("trainer", 1, policy="none"))
+        go(tmp_path, RunConfig("trainer", 1, policy="none"))
     assert files(tmp_path) == now
 
 
@@ -177,7 +176,7 @@ def test_a_run_replaces_the_earlier_one(tmp_path: Path) -> None:
     """Nothing of it is left over."""
     go(tmp_path)
     (tmp_path / "run.png").write_text("the earlier one's")
-    told = go(tmp_path, Plan("trainer", 2, seed=2))
+    told = go(tmp_path, RunConfig("trainer", 2, seed=2))
     assert told["cycles"] == 2
     assert not (tmp_path / EARLIER).exists()
     assert not (tmp_path / "run.png").exists()
@@ -187,7 +186,7 @@ def test_a_run_may_start_from_the_table_that_it_replaces(tmp_path: Path) -> None
     """``--table out/train/table.npz --out out/train --force`` goes on from what was learnt."""
     go(tmp_path)
     before = load_table(tmp_path / TABLE, PLAN.params)[0].visits.sum()
-    go(tmp_path, Plan("trainer", 3, seed=1, table=tmp_path / TABLE))
+    go(tmp_path, RunConfig("trainer", 3, seed=1, table=tmp_path / TABLE))
     after = load_table(tmp_path / TABLE, PLAN.params)[0].visits.sum()
     assert after == 2 * before
 

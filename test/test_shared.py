@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ember_ros.errors import EmberError, PushError
+from ember_ros.errors import EmberError, UpdateError
 from ember_ros.params import Rate
-from ember_ros.signals import Pair
+from ember_ros.signals import TDUpdate
 from leg_node import shared as module
 from leg_node.journal import Journal
-from leg_node.shared import LocalCopy, Push, SharedTable
+from leg_node.shared import LocalCopy, SharedTable, UpdateBatch
 from leg_node.table import Table
 
 STATES, ACTIONS, RATE, CELLS = 4, 3, Rate(0.1, 1.0), "cells"
@@ -36,19 +36,19 @@ histories = st.dictionaries(
 
 def shared_table() -> SharedTable:
     """Return an empty shared table."""
-    return SharedTable(Table(STATES, ACTIONS), cells=CELLS, rate=RATE)
+    return SharedTable(Table(STATES, ACTIONS), legs=4, cells=CELLS, rate=RATE)
 
 
-def push(leg: int, epoch: int, *pairs: Any, run: str = "run") -> Push:
+def push(leg: int, epoch: int, *updates: Any, run: str = "run") -> UpdateBatch:
     """Return a push of (tick, cell, target)."""
-    return Push(leg, run, epoch, CELLS, tuple(Pair(*pair) for pair in pairs))
+    return UpdateBatch(leg, run, epoch, CELLS, tuple(TDUpdate(*update) for update in updates))
 
 
-def pushes_of(history: dict[tuple[int, int], list[tuple[int, int, float]]]) -> list[Push]:
+def pushes_of(history: dict[tuple[int, int], list[tuple[int, int, float]]]) -> list[UpdateBatch]:
     """Return the pushes of a history, by leg and epoch."""
     return [
-        push(leg, epoch, *((4 * epoch + tick, *update) for tick, *update in sorted(pairs)))
-        for (leg, epoch), pairs in sorted(history.items())
+        push(leg, epoch, *((4 * epoch + tick, *update) for tick, *update in sorted(updates)))
+        for (leg, epoch), updates in sorted(history.items())
     ]
 
 
@@ -57,12 +57,16 @@ def content(table: Table) -> tuple[bytes, bytes]:
     return table.values.tobytes(), table.visits.tobytes()
 
 
-def in_order(pushes: list[Push]) -> Table:
+def in_order(pushes: list[UpdateBatch]) -> Table:
     """Return what the design asks for: pairs one by one in the order (epoch, tick, leg)."""
     table = Table(STATES, ACTIONS)
-    every = [(p.epoch, pair.tick, p.leg, n, pair) for p in pushes for n, pair in enumerate(p.pairs)]
-    for *_, pair in sorted(every):
-        table.update(pair.cell, pair.target, RATE)
+    every = [
+        (p.epoch, update.tick, p.leg, n, update)
+        for p in pushes
+        for n, update in enumerate(p.updates)
+    ]
+    for *_, update in sorted(every):
+        table.update(update.cell, update.target, RATE)
     return table
 
 
@@ -158,12 +162,18 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "leg": ({"leg": -1}, "leg -1"),
     "epoch": ({"epoch": -1}, "epoch -1"),
     "run": ({"run": ""}, "run ''"),
-    "cell under 0": ({"pairs": (Pair(1, 2, 1.0), Pair(1, -1, 1.0))}, "cell -1"),
-    "cell beyond": ({"pairs": (Pair(1, 2, 1.0), Pair(1, STATES * ACTIONS, 1.0))}, "cell 12"),
-    "NaN": ({"pairs": (Pair(1, 2, 1.0), Pair(1, 3, float("nan")))}, "cell 3 .* nan"),
-    "infinity": ({"pairs": (Pair(1, 2, 1.0), Pair(1, 3, float("inf")))}, "cell 3 .* inf"),
-    "minus infinity": ({"pairs": (Pair(1, 2, 1.0), Pair(1, 3, -float("inf")))}, "cell 3 .* -inf"),
-    "tick": ({"pairs": (Pair(1, 2, 1.0), Pair(-1, 3, 1.0))}, "tick -1"),
+    "cell under 0": ({"updates": (TDUpdate(1, 2, 1.0), TDUpdate(1, -1, 1.0))}, "cell -1"),
+    "cell beyond": (
+        {"updates": (TDUpdate(1, 2, 1.0), TDUpdate(1, STATES * ACTIONS, 1.0))},
+        "cell 12",
+    ),
+    "NaN": ({"updates": (TDUpdate(1, 2, 1.0), TDUpdate(1, 3, float("nan")))}, "cell 3 .* nan"),
+    "infinity": ({"updates": (TDUpdate(1, 2, 1.0), TDUpdate(1, 3, float("inf")))}, "cell 3 .* inf"),
+    "minus infinity": (
+        {"updates": (TDUpdate(1, 2, 1.0), TDUpdate(1, 3, -float("inf")))},
+        "cell 3 .* -inf",
+    ),
+    "tick": ({"updates": (TDUpdate(1, 2, 1.0), TDUpdate(-1, 3, 1.0))}, "tick -1"),
 }
 
 
@@ -174,7 +184,7 @@ def test_a_refused_push_changes_nothing(name: str) -> None:
     table, right = shared_table(), push(0, 0, (0, 1, 3.0))
     table.push(push(1, 0, (0, 1, 5.0)))
     before = repr((table.pending(), table.done(), table.version))
-    with pytest.raises(PushError, match=says) as refused:
+    with pytest.raises(UpdateError, match=says) as refused:
         table.push(right._replace(**change))
     assert isinstance(refused.value, EmberError)
     assert repr((table.pending(), table.done(), table.version)) == before
@@ -201,7 +211,7 @@ def test_a_pull_returns_exactly_what_changed(
             table.push(each)
         changes = table.pull(table.version, 99)
         versions.append(changes.version)
-        merged.append({pair.cell for each in pushes for pair in each.pairs})
+        merged.append({update.cell for each in pushes for update in each.updates})
         assert set(changes.cells.tolist()) == merged[-1]
         back = data.draw(st.integers(0, len(versions) - 1))
         since = table.pull(versions[back])
@@ -292,7 +302,7 @@ def test_memory_is_bounded(merging: bool) -> None:
             table.pull(table.version, epoch - 1)
         if epoch in (999, 9_999):
             sizes.append(footprint(table))
-    assert sizes[0] == sizes[1] <= 8 * 4 * (module.MOST_PENDING + 1)
+    assert sizes[0] == sizes[1] <= 8 * 4 * (module.MAX_PENDING + 1)
     table.merge()
     assert table.table.visits.sum() == 40_000
 
@@ -349,7 +359,7 @@ def test_learning_off_keeps_refusing_what_is_wrong() -> None:
     """A malformed push is told so whether or not it would count."""
     table = shared_table()
     table.learning = False
-    with pytest.raises(PushError):
+    with pytest.raises(UpdateError):
         table.push(push(0, 0, (0, 99, 3.0)))
 
 
@@ -367,7 +377,7 @@ def test_a_restored_table_goes_on_as_if_it_had_lived(
         table.merge(upto)
     again = Table(STATES, ACTIONS)
     again.copy_from(died.table)
-    reborn = SharedTable(again, cells=CELLS, rate=RATE, version=died.version + 1)
+    reborn = SharedTable(again, legs=4, cells=CELLS, rate=RATE, version=died.version + 1)
     reborn.restore(died.done(), died.pending())
     for each in pushes:
         assert reborn.push(each) == lived.push(each)
@@ -398,20 +408,20 @@ def test_a_preview_merges_nothing(
 def journal(tmp_path: Path) -> Iterator[Journal]:
     """Return a journal that was begun, and close it."""
     journal = Journal(tmp_path / "table.npz")
-    journal.begin(7)
+    journal.start(7)
     yield journal
     journal.close()
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
-@given(pairs=st.lists(st.tuples(st.integers(0), st.integers(0), finite), max_size=4))
+@given(updates=st.lists(st.tuples(st.integers(0), st.integers(0), finite), max_size=4))
 def test_a_journal_keeps_every_bit(
-    pairs: list[tuple[int, int, float]], tmp_path_factory: pytest.TempPathFactory
+    updates: list[tuple[int, int, float]], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     """A push read from a journal is the push that was written, its floats to the last bit."""
-    written = push(2, 5, *pairs, run='a run, "quoted"')
+    written = push(2, 5, *updates, run='a run, "quoted"')
     journal = Journal(tmp_path_factory.mktemp("journal") / "table.npz")
-    journal.begin(1)
+    journal.start(1)
     journal.add(written)
     journal.close()
     (read,) = journal.read(1)
@@ -437,7 +447,7 @@ def test_a_journal_belongs_to_its_snapshot(journal: Journal) -> None:
     """A journal of another generation is in the snapshot already; a missing one is empty."""
     journal.add(push(0, 0, (0, 1, 1.0)))
     assert journal.read(6) == journal.read(8) == []
-    journal.begin(8)
+    journal.start(8)
     assert journal.pushes == 0
     assert journal.read(7) == journal.read(8) == []
     journal.add(push(0, 1, (4, 1, 1.0)))
@@ -472,7 +482,7 @@ class Machine:
         """Let a copy pull what is due at a tick."""
         upto = copy.pull_due(tick)
         if upto is not None:
-            copy.take(self.shared.pull(copy.version, upto), upto)
+            copy.apply(self.shared.pull(copy.version, upto), upto)
 
     def end(self, copy: LocalCopy, tick: int, *, early: bool = False) -> None:
         """Let a copy push what is due after a tick."""
@@ -498,24 +508,24 @@ def test_a_copy_is_the_shared_table_and_one_s_own_pairs(
 ) -> None:
     """At any time: everybody's pairs of the epochs pulled, then one's own since, and no others."""
     machine = Machine(3, sync_every)
-    done: dict[int, list[Pair]] = defaultdict(list)
-    pushed: list[Push] = []
+    done: dict[int, list[TDUpdate]] = defaultdict(list)
+    pushed: list[UpdateBatch] = []
     for tick, updates in enumerate(ticks):
         epoch = tick // sync_every
-        for leg, (copy, update) in enumerate(zip(machine.copies, updates, strict=True)):
+        for leg, (copy, content_of) in enumerate(zip(machine.copies, updates, strict=True)):
             machine.begin(copy, tick)
-            if update is not None:
-                pair = Pair(tick, *update)
-                copy.learn(pair)
-                done[leg].append(pair)
+            if content_of is not None:
+                update = TDUpdate(tick, *content_of)
+                copy.learn(update)
+                done[leg].append(update)
             wanted = in_order([each for each in pushed if each.epoch < epoch])
-            for pair in done[leg]:
-                if pair.tick >= epoch * sync_every:
-                    wanted.update(pair.cell, pair.target, RATE)
+            for update in done[leg]:
+                if update.tick >= epoch * sync_every:
+                    wanted.update(update.cell, update.target, RATE)
             assert content(copy.table) == content(wanted)
             if (tick + 1) % sync_every == 0:
                 own = [p for p in done[leg] if p.tick // sync_every == epoch]
-                pushed.append(Push(leg, "run", epoch, CELLS, tuple(own)))
+                pushed.append(UpdateBatch(leg, "run", epoch, CELLS, tuple(own)))
             machine.end(copy, tick)
 
 
@@ -530,7 +540,7 @@ def test_one_leg_alone_is_plain_q_learning(ticks: list[tuple[int, float]], sync_
     (copy,) = machine.copies
     for tick, update in enumerate(ticks):
         machine.begin(copy, tick)
-        copy.learn(Pair(tick, *update))
+        copy.learn(TDUpdate(tick, *update))
         plain.update(*update, RATE)
         assert content(copy.table) == content(plain)
         machine.end(copy, tick)
@@ -550,7 +560,7 @@ def test_every_tick_s_sync_is_one_table(ticks: list[list[tuple[int, float] | Non
             assert content(copy.table) == content(one)
         for copy, update in zip(machine.copies, updates, strict=True):
             if update is not None:
-                copy.learn(Pair(tick, *update))
+                copy.learn(TDUpdate(tick, *update))
                 one.update(*update, RATE)
         for copy in machine.copies:
             machine.end(copy, tick)
@@ -562,7 +572,7 @@ def test_a_copy_of_its_own_never_syncs() -> None:
     plain = Table(STATES, ACTIONS)
     for tick in range(50):
         assert copy.pull_due(tick) is None
-        copy.learn(Pair(tick, tick % 5, float(tick)))
+        copy.learn(TDUpdate(tick, tick % 5, float(tick)))
         plain.update(tick % 5, float(tick), RATE)
         copy.close_epoch(tick, early=True)
         assert copy.push_due() is None
@@ -585,7 +595,7 @@ def test_a_push_stays_due_until_it_is_acknowledged() -> None:
     machine = Machine(1, 1)
     (copy,) = machine.copies
     for tick in range(2):
-        copy.learn(Pair(tick, 1, 1.0))
+        copy.learn(TDUpdate(tick, 1, 1.0))
         copy.close_epoch(tick)
     first = copy.push_due()
     assert first == push(0, 0, (0, 1, 1.0))
@@ -605,7 +615,7 @@ def test_what_is_not_acknowledged_is_kept_over_pulls() -> None:
     (copy,) = machine.copies
     for tick in range(6):
         machine.begin(copy, tick)
-        copy.learn(Pair(tick, 1, float(tick)))
+        copy.learn(TDUpdate(tick, 1, float(tick)))
         plain.update(1, float(tick), RATE)
         copy.close_epoch(tick)  # and is not sent
         assert content(copy.table) == content(plain)
@@ -632,7 +642,7 @@ def test_what_the_table_dropped_is_gone_from_the_copy() -> None:
     (copy,) = machine.copies
     for tick in range(2):
         machine.begin(copy, tick)
-        copy.learn(Pair(tick, 1, 5.0))
+        copy.learn(TDUpdate(tick, 1, 5.0))
         machine.end(copy, tick)
     assert copy.table.cell(1) == (5.0, 2)
     machine.begin(copy, 2)
@@ -645,7 +655,7 @@ def test_an_epoch_whose_last_tick_was_missed_is_not_lost() -> None:
     (copy,) = machine.copies
     for tick in (0, 1, 2, 4, 5, 6, 7, 8, 13):
         machine.begin(copy, tick)
-        copy.learn(Pair(tick, tick % 2, float(tick)))
+        copy.learn(TDUpdate(tick, tick % 2, float(tick)))
         plain.update(tick % 2, float(tick), RATE)
         assert content(copy.table) == content(plain)
         machine.end(copy, tick)
@@ -660,12 +670,12 @@ def test_an_epoch_without_an_answer_is_made_up_for() -> None:
     one, other = machine.copies
     for tick in range(8):
         if tick == 4:
-            other.go_without(1)
+            other.skip_sync(1)
             assert other.pull_due(5) is None
         for copy in machine.copies:
             machine.begin(copy, tick)
         for copy in machine.copies:
-            copy.learn(Pair(tick, 1, float(tick)))
+            copy.learn(TDUpdate(tick, 1, float(tick)))
             plain.update(1, float(tick), RATE)
         assert one.table.cell(1)[1] == 2 * (tick // 2 * 2) + tick % 2 + 1
         assert other.table.cell(1)[1] == one.table.cell(1)[1] - (2 if tick in (4, 5) else 0)
@@ -684,13 +694,13 @@ def test_nothing_is_lost_or_doubled_when_time_begins_anew(first_life: int) -> No
     def live(ticks: int) -> None:
         for tick in range(ticks):
             machine.begin(copy, tick)
-            copy.learn(Pair(tick, 1, float(tick)))
+            copy.learn(TDUpdate(tick, 1, float(tick)))
             plain.update(1, float(tick), RATE)
             assert copy.table.cell(1)[1] == plain.cell(1)[1]
             machine.end(copy, tick)
 
     live(first_life)
-    copy.restart(first_life - 1, "another life")
+    copy.reset(first_life - 1, "another life")
     live(14)
     machine.end(copy, 14, early=True)
     machine.shared.merge()
@@ -703,7 +713,7 @@ def test_memory_of_a_copy_is_bounded() -> None:
     for tick in range(20_000):
         for copy in machine.copies:
             machine.begin(copy, tick)
-            copy.learn(Pair(tick, tick % 12, 1.0))
+            copy.learn(TDUpdate(tick, tick % 12, 1.0))
             machine.end(copy, tick)
         if tick in (1_999, 19_999):
             sizes.append(

@@ -22,7 +22,8 @@ from hypothesis import strategies as st
 
 from ember_ros.errors import TableError
 from ember_ros.params import Params, Rate, as_dict, cells_sha256, params_sha256, replace
-from leg_node.table import Table, empty_table
+from leg_node.assembly import empty_table
+from leg_node.table import Table
 from leg_node.table_file import load_table, save_table
 
 RATE = Rate(0.1, 1.0)
@@ -94,10 +95,13 @@ def test_update_is_a_mean_until_the_floor() -> None:
     bounds=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)).map(sorted),
 )
 def test_update_rule_is_exact(targets: list[float], bounds: list[float]) -> None:
-    """``N += 1; Q += alpha (target - Q)``, 1 / N in its bounds, bit for bit; all else stays."""
+    """``N += 1; Q += alpha (target - Q)``, 1 / N in its bounds, bit for bit; all else stays.
+
+    What is returned is the error: the target less the value before.
+    """
     table, value, rate = Table(3, 2), 0.0, Rate(*bounds)
     for n, target in enumerate(targets, start=1):
-        table.update(3, target, rate)
+        assert table.update(3, target, rate) == target - value
         value += min(rate.ceiling, max(rate.floor, 1.0 / n)) * (target - value)
         assert table.cell(3) == (value, n)
     assert min(0.0, *targets) - 1e-9 <= value <= max(0.0, *targets) + 1e-9
@@ -446,7 +450,7 @@ WRONG: dict[str, tuple[Callable[[Content], Content], str]] = {
     "values text": (lambda c: c._replace(values=c.values.astype(str)), "<U"),
     "visits floats": (lambda c: c._replace(visits=c.visits * 1.0), "float64 and float64"),
     "visits unsigned": (lambda c: c._replace(visits=c.visits.astype(np.uint64)), "uint64"),
-    "visits negative": (lambda c: c._replace(visits=c.visits - 1), "visits under 0"),
+    "visits negative": (lambda c: c._replace(visits=c.visits - 1), "negative visits"),
     "a NaN": (lambda c: c._replace(values=np.where(c.visits, c.values, np.nan)), "not finite"),
     "an infinity": (lambda c: c._replace(values=c.values / c.visits.min()), "not finite"),
     "a last bit": (lambda c: c._replace(values=np.nextafter(c.values, 9.0)), "damaged"),
@@ -486,6 +490,31 @@ def test_wrong_content_is_refused_with_its_reason(saved: Path, name: str) -> Non
 def test_another_meaning_of_the_cells(saved: Path, change: dict[str, Any]) -> None:
     """A table of the same size but learnt with other edges, load or speeds is refused."""
     assert "another partition" in refusal(saved, replace(PARAMS, change))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"parts.reward": "mine.Reward"},
+        {"parts.learner": "leg_node.sarsa.SarsaLambda"},
+        {"parts.value": "leg_node.value.TableValues"},
+        {"parts.gait": "mine.Gait"},
+    ],
+)
+def test_another_part_is_told(saved: Path, tmp_path: Path, change: dict[str, Any]) -> None:
+    """What another reward or learner has learnt is refused, and the message says of what."""
+    assert "other parts" in refusal(saved, replace(PARAMS, change))
+    params = replace(PARAMS, change)
+    file = tmp_path / "other.npz"
+    save_table(file, learnt(), params, 3)
+    assert "other parts" in refusal(file)
+    assert load_table(file, params)[0].sha256() == learnt().sha256()
+
+
+def test_another_oscillator_reads_the_same_table(saved: Path) -> None:
+    """A table says what to do at a phase, whoever makes it."""
+    params = replace(PARAMS, {"parts.cpg": "mine.Hopf"})
+    assert load_table(saved, params)[0].sha256() == learnt().sha256()
 
 
 def test_another_number_of_cells(saved: Path) -> None:
@@ -548,19 +577,20 @@ LIES: dict[str, tuple[Callable[[Path], object], str]] = {
     "packed by bzip2": (lambda f: packed(f, "values", bytes(HUGE), zipfile.ZIP_BZIP2), "deflate"),
     "packed by lzma": (lambda f: packed(f, "values", bytes(HUGE), zipfile.ZIP_LZMA), "deflate"),
     "a shape beyond all memory": (
-        lambda f: packed(f, "values", npy("'<f8'", f"({10**15}, 9)")), "not what its header says"
+        lambda f: packed(f, "values", npy("'<f8'", f"({10**15}, 9)")), "but its header states"
     ),
     "an item beyond all memory": (
-        lambda f: packed(f, "about", npy("'<U99999999'", "()")), "not what its header says"
+        lambda f: packed(f, "about", npy("'<U99999999'", "()")), "but its header states"
     ),
     "digits": (lambda f: packed(f, "values", npy("'<f8'", f"({'9' * 9000},)")), "not a whole"),
-    "Python": (lambda f: packed(f, "values", npy("'<f8'", "(" * 9000)), "no plain array"),
+    "Python": (lambda f: packed(f, "values", npy("'<f8'", "(" * 9000)), "not a plain array"),
     "a record": (
-        lambda f: packed(f, "values", npy("[('a', '<f8')]", "(9,)", bytes(72))), "no plain array"
+        lambda f: packed(f, "values", npy("[('a', '<f8')]", "(9,)", bytes(72))), "not a plain array"
     ),
-    "objects": (lambda f: packed(f, "values", npy("'|O'", "()", bytes(8))), "not what its header"),
+    "objects": (lambda f: packed(f, "values", npy("'|O'", "()", bytes(8))), "Python objects"),
     "a version with a long header": (
-        lambda f: packed(f, "values", npy("'<f8'", "()", bytes(8), b"\x02\x00")), "no plain array"
+        lambda f: packed(f, "values", npy("'<f8'", "()", bytes(8), b"\x02\x00")),
+        "not a plain array",
     ),
     "deep JSON": (
         lambda f: rewrite(f, lambda c: c._replace(about=np.array("[" * 100_000))), "too deeply"
@@ -570,8 +600,8 @@ LIES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "a long file": (lambda f: f.write_bytes(f.read_bytes() + bytes(HUGE)), "bytes; up to"),
     "a long file of nothing": (lambda f: os.truncate(f, 1 << 40), "bytes; up to"),
-    "a pipe": (lambda f: instead(f, os.mkfifo), "no regular file"),
-    "a device": (lambda f: instead(f, lambda f: f.symlink_to("/dev/zero")), "no regular file"),
+    "a pipe": (lambda f: instead(f, os.mkfifo), "not a regular file"),
+    "a device": (lambda f: instead(f, lambda f: f.symlink_to("/dev/zero")), "not a regular file"),
     "a link to itself": (lambda f: instead(f, lambda f: f.symlink_to(f)), "not a whole"),
 }  # fmt: skip
 

@@ -25,7 +25,7 @@ def test_a_thousand_lines_a_minute_become_a_few_with_a_count() -> None:
     for n in range(1000):
         said.now = n * 0.06
         said.throttle.flush()
-        said.throttle.say("leg", f"word {n}")
+        said.throttle.log("leg", f"word {n}")
     said.now = 100.0
     said.throttle.flush()
     assert len(said.lines) <= 2 + 60 / 5 + 1
@@ -38,12 +38,12 @@ def test_matters_do_not_hold_each_other_back() -> None:
     said = Said(at_once=1)
     for matter, text, now in (("a", "1", 0.0), ("a", "2", 1.0), ("b", "3", 1.0)):
         said.now = now
-        said.throttle.say(matter, text)
+        said.throttle.log(matter, text)
     assert said.lines == ["1", "3"]
     for said.now in (4.9, 5.0, 99.0):
         said.throttle.flush()
     assert said.lines == ["1", "3", "2"]
-    said.throttle.say("a", "4")
+    said.throttle.log("a", "4")
     assert said.lines == ["1", "3", "2", "4"]
 
 
@@ -55,7 +55,7 @@ def test_no_line_is_lost_without_a_count(gaps: list[float], at_once: int, often:
         said.now += gap
         if often:
             said.throttle.flush()
-        said.throttle.say("m", "x")
+        said.throttle.log("m", "x")
     said.now += 6.0
     said.throttle.flush()
     counts = [re.search(r"and (\d+) more", line) for line in said.lines]

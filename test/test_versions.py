@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -11,6 +10,7 @@ import pytest
 import ember_ros
 from ember_ros import versions as told
 from ember_ros.experiments.trial import Trial
+from support.command import child
 
 WHERE = ("date", "system", "cpu", "simd", "blas", "commit")
 
@@ -18,9 +18,9 @@ WHERE = ("date", "system", "cpu", "simd", "blas", "commit")
 def git(folder: Path, *what: str) -> str:
     """Run git in a folder, as a person of its own."""
     person = ("-c", "user.name=Some One", "-c", "user.email=one@example.org")
-    return subprocess.run(
-        ["git", *person, *what], cwd=folder, check=True, capture_output=True, text=True
-    ).stdout.strip()
+    done = child(["git", *person, *what], cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
 
 
 def test_where_and_when_a_run_was() -> None:

@@ -20,12 +20,15 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from ember_ros import calls, wire
-from ember_ros.errors import PushError, SignalError
-from ember_ros.params import Params, cells_sha256
-from ember_ros.signals import LEGS, TRAINER_LEG, LegCommand, LegSense, Pair, Transition
-from leg_node.shared import Changes, Push, SharedTable
-from leg_node.table import Table, empty_table
+from ember_ros import cdr, wire
+from ember_ros.errors import SignalError, UpdateError
+from ember_ros.params import TRAINER_LEG, Params, cells_sha256
+from ember_ros.signals import Beat, LegCommand, LegSense, TDUpdate, Transition
+from leg_node import calls
+from leg_node.assembly import empty_table
+from leg_node.shared import Changes, SharedTable, UpdateBatch
+from leg_node.table import Table
+from support.legs import LEGS
 
 TICK_NS = 15_625_000
 TICKS = 32
@@ -45,17 +48,19 @@ terms = st.dictionaries(
     numbers,
     max_size=8,
 ).map(lambda found: tuple(found.items()))
+phases = st.floats(min_value=0.0, max_value=2.0**53, exclude_max=True) | st.just(-0.0)
+indexes = st.integers(-1, 2**53)
 transitions = st.builds(
-    Transition, ticks, bits, st.integers(-1, 2**53), st.integers(-1, 2**53), terms
+    Transition, ticks, indexes, bits, indexes, terms, indexes, bits, td_error=numbers
 )
 int64 = st.integers(-(2**63), 2**63 - 1)
 pushes = st.builds(
-    Push,
+    UpdateBatch,
     int64,
     st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40),
     int64,
     st.text("0123456789abcdef", max_size=64),
-    st.lists(st.builds(Pair, int64, int64, numbers), max_size=40).map(tuple),
+    st.lists(st.builds(TDUpdate, int64, int64, numbers), max_size=40).map(tuple),
 )
 
 EXTREME = LegSense(7, -0.0, TINY, -TINY, 1.7e308, -1.7e308, 2.2e-308, 1 / 3, 0.0, True, False, True)
@@ -68,6 +73,11 @@ def exactly(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(map(exactly, value))
     return type(value), value
+
+
+def bare_phase(phase: float) -> bytes:
+    """Return a std_msgs/Float64, as the phase travelled before it had a stamp."""
+    return cdr.ENCAPSULATION + struct.pack("<d", phase)
 
 
 def read_sense(leg: str, joints: bytes, contact: bytes) -> LegSense:
@@ -136,8 +146,10 @@ def test_a_transition_survives_bit_for_bit(leg: str, said: list[Transition]) -> 
         data = writer.pack(did)
         assert exactly(tuple(reader.read(data))) == exactly(tuple(did))
         message = deserialize_message(data, JointState)
-        assert message.name == ["stance", "state", "action", *(name for name, _ in did.terms)]
-        assert exactly(tuple(message.position[3:])) == exactly(tuple(v for _, v in did.terms))
+        assert tuple(message.name) == (*wire.TRANSITION, *(name for name, _ in did.terms))
+        said_first = [getattr(did, name) for name in wire.TRANSITION]
+        numbers = [float(value) for value in (*said_first, *(v for _, v in did.terms))]
+        assert exactly(tuple(message.position)) == exactly(tuple(numbers))
         assert not message.velocity
         assert not message.effort
 
@@ -176,27 +188,41 @@ def test_the_extremes_of_doubles_survive() -> None:
     ) == exactly(most)
 
 
+@given(ticks, phases)
+def test_a_beat_survives_bit_for_bit(tick: int, phase: float) -> None:
+    """Any phase at any tick: the stamp and the phase are said apart; rclpy reads the same."""
+    packed, beat = wire.BeatWire(TICK_NS), Beat(tick, phase)
+    data = packed.pack(beat)
+    assert exactly(packed.read(data)) == exactly(beat)
+    message = deserialize_message(data, JointState)
+    assert message.name == ["cpg"]
+    assert exactly(tuple(message.position)) == exactly((phase,))
+    assert not message.velocity
+    assert not message.effort
+    stamp = message.header.stamp
+    assert stamp.sec * 10**9 + stamp.nanosec == tick * TICK_NS
+    assert exactly(packed.read(serialize_message(message))) == exactly(beat)
+
+
 @given(st.integers(0, 2**53 - 1), st.sampled_from([4, 32, 1024]))
-def test_a_phase_names_its_tick_exactly(tick: int, per_cycle: int) -> None:
-    """A phase survives bit for bit, and the tick it stands for comes out of it."""
+def test_a_phase_without_a_stamp_names_its_tick_exactly(tick: int, per_cycle: int) -> None:
+    """Of older bags: a phase survives bit for bit, and the tick it stands for comes out of it."""
     phase = tick / per_cycle
-    data = wire.pack_phase(phase)
+    data = bare_phase(phase)
     assert deserialize_message(data, Float64).data == phase
-    assert wire.read_phase(data, per_cycle, "cpg/phase") == (tick, phase)
-    assert wire.read_phase(serialize_message(Float64(data=phase)), per_cycle, "cpg/phase") == (
-        tick,
-        phase,
-    )
+    for each in (data, serialize_message(Float64(data=phase))):
+        read = wire.read_bare_phase(each, per_cycle, "cpg/phase")
+        assert exactly(read) == exactly(Beat(tick, phase))
 
 
 @given(st.integers(0, 2**31 * 10**9 - 1))
 def test_a_clock_survives_to_the_nanosecond(ns: int) -> None:
     """A time comes out of its message as it went in, by our reader and by rclpy's."""
-    data = wire.pack_clock(ns)
+    data = cdr.pack_clock(ns)
     clock = deserialize_message(data, Clock).clock
     assert clock.sec * 10**9 + clock.nanosec == ns
-    assert wire.read_clock(data, "clock") == ns
-    assert wire.read_clock(serialize_message(Clock(clock=clock)), "clock") == ns
+    assert cdr.read_clock(data, "clock") == ns
+    assert cdr.read_clock(serialize_message(Clock(clock=clock)), "clock") == ns
 
 
 # -- what is refused ---------------------------------------------------------------------------
@@ -231,7 +257,7 @@ ANY_BAD = [
     (setting("name", ["hip", "toe"]), r"names \['hip', 'toe'\]"),
     (setting("name", ["hip", "hip"]), r"names \['hip', 'hip'\]"),
     (setting("name", []), r"names \[\]"),
-    (setting("name", ["hip", "knee", "toe"]), "names|2 numbers in .*; 3, one a name"),
+    (setting("name", ["hip", "knee", "toe"]), "names|2 numbers in .*; 3, one per name"),
     (stamped(0, TICK_NS - 1), "stamp 15624999 ns"),
     (stamped(0, 1), "stamp 1 ns"),
     (stamped(-1, 0), "stamp -1000000000 ns"),
@@ -243,7 +269,7 @@ JOINTS_BAD = [
     (setting("position", [0.1]), "1 numbers in position"),
     (setting("position", []), "0 numbers in position"),
     (setting("velocity", [0.1] * 3), "3 numbers in velocity"),
-    (setting("velocity", []), "0 numbers in velocity; 2, .*speed is sensed or asked for"),
+    (setting("velocity", []), "0 numbers in velocity; 2, .*measured or commanded speeds"),
 ]
 CONTACT_BAD = [
     *ANY_BAD,
@@ -268,6 +294,19 @@ COMMAND_BAD = [
     (setting("effort", []), "0 numbers in effort"),
     (putting("effort", 0, -1.0), "torque"),
     (putting("effort", 1, -TINY), "torque"),
+]
+
+
+BEAT_BAD = [
+    (setting("name", ["cgp"]), r"names \['cgp'\]"),
+    (setting("name", ["cpg", "cpg"]), r"names \['cpg', 'cpg'\]"),
+    (setting("name", []), r"names \[\]"),
+    (setting("position", []), "0 numbers in position"),
+    (setting("position", [0.5, 0.5]), "2 numbers in position; 1, one per name"),
+    (stamped(0, TICK_NS - 1), "stamp 15624999 ns .*same gait.period"),
+    (stamped(-1, 0), "stamp -1000000000 ns"),
+    *[(putting("position", 0, x), "not finite") for x in (math.nan, math.inf, -math.inf)],
+    *[(putting("position", 0, x), "is no phase; 0 or more") for x in (-1.0, -TINY, 2.0**53)],
 ]
 
 
@@ -310,6 +349,8 @@ def test_joints_are_found_by_name(change: Change) -> None:
     assert repr(senses.sense(tick, first, second)) == repr(sense)
     command = LegCommand(3, 1.0, 2.0, 3.0, 4.0)
     assert wired.read(changed(wired.pack(command), change)) == command
+    beats = wire.BeatWire(TICK_NS)
+    assert beats.read(changed(beats.pack(Beat(3, 1.5)), change)) == Beat(3, 1.5)
 
 
 def test_what_is_not_in_use_may_be_anything() -> None:
@@ -344,18 +385,37 @@ def test_malformed_commands_are_refused(change: Change, names: str) -> None:
         wired.read(changed(wired.pack(LegCommand(3, 1.0, 2.0, 3.0, 4.0)), change))
 
 
-PAID = Transition(3, True, 70, 8, (("height", 0.5), ("slip", -0.25)))
+@pytest.mark.parametrize(("change", "names"), BEAT_BAD)
+def test_malformed_beats_are_refused(change: Change, names: str) -> None:
+    """The error of a bad ``cpg/phase`` names the topic and what is wrong; a good one reads."""
+    wired = wire.BeatWire(TICK_NS)
+    good = wired.pack(Beat(3, 0.5))
+    with pytest.raises(SignalError, match=f"^cpg/phase: .*{names}"):
+        wired.read(changed(good, change))
+    assert wired.read(good) == Beat(3, 0.5)
+
+
+def test_a_phase_without_a_stamp_is_no_beat() -> None:
+    """What nodes of before the stamp say is refused in words, and not read as something else."""
+    for data in (bare_phase(0.5), serialize_message(Float64(data=0.5))):
+        with pytest.raises(SignalError, match=r"^cpg/phase: 12 bytes are no JointState"):
+            wire.BeatWire(TICK_NS).read(data)
+
+
+PAID = Transition(3, 70, True, 8, (("height", 0.5), ("slip", -0.25)), 71, False, td_error=-0.125)
 
 
 @pytest.mark.parametrize(
     ("change", "names"),
     [
-        (setting("name", ["state", "stance", "action", "a", "b"]), "names"),
-        (setting("name", ["stance", "state"]), "names"),
+        (setting("name", ["stance", *wire.TRANSITION[2:], "a", "b"]), "names"),
+        (setting("name", list(wire.TRANSITION[:2])), "names"),
+        (setting("name", ["stance", "state", "action", "height", "slip"]), "names .*'td_error'"),
         (setting("position", [0.0]), "1 numbers in position"),
-        (putting("position", 0, 2.0), "stance 2"),
-        (putting("position", 1, 0.5), "state 0.5"),
-        (putting("position", 3, math.nan), "position"),
+        *[(putting("position", n, 0.5), r"state, action, next_state \(.*0\.5") for n in (0, 2, 3)],
+        *[(putting("position", n, -2.0), r"state, action, next_state \(.*-2") for n in (0, 2, 3)],
+        *[(putting("position", n, 2.0), r"stance, next_stance \(.*2\.0") for n in (1, 4)],
+        *[(putting("position", n, math.nan), "position") for n in (0, 5, 6, 7)],
     ],
 )
 def test_malformed_transitions_are_refused(change: Change, names: str) -> None:
@@ -389,7 +449,7 @@ def test_our_own_layout_does_not_let_bad_numbers_pass(
     _, contact = senses_wire.pack(with_one(sense, name, bad))
     with pytest.raises(SignalError, match=r"^leg/contact: .*(position|effort)"):
         senses_wire.read_contact(contact)
-    name = ("hair", "contact", "restart")[field % 3]
+    name = ("hair", "contact", "first_tick")[field % 3]
     _, contact = senses_wire.pack(with_one(sense, name, 2))
     with pytest.raises(SignalError, match=r"^leg/contact: (hair|touch|restart) is 2"):
         senses_wire.read_contact(contact)
@@ -406,20 +466,23 @@ def test_our_own_layout_does_not_let_bad_numbers_pass(
 @pytest.mark.parametrize(
     "phase", [math.nan, math.inf, -math.inf, -1.0, -TINY, TINY, 0.01, 1 / 64, 2.0**60]
 )
-def test_what_is_no_phase_is_refused(phase: float) -> None:
-    """Not finite, negative, between ticks, or too large to name a tick."""
-    for data in (wire.pack_phase(phase), serialize_message(Float64(data=phase))):
+def test_what_names_no_tick_is_no_phase_without_a_stamp(phase: float) -> None:
+    """Of older bags: not finite, negative, between ticks, or too large to name a tick."""
+    for data in (bare_phase(phase), serialize_message(Float64(data=phase))):
         with pytest.raises(SignalError, match=r"^cpg/phase: .* is no phase"):
-            wire.read_phase(data, TICKS, "cpg/phase")
+            wire.read_bare_phase(data, TICKS, "cpg/phase")
 
 
 def test_a_clock_before_the_start_is_refused() -> None:
     """Time begins at 0."""
     with pytest.raises(SignalError, match=r"^clock: -1 s is before the start"):
-        wire.read_clock(wire.pack_clock(-1), "clock")
+        cdr.read_clock(cdr.pack_clock(-1), "clock")
 
 
-@given(st.binary(max_size=200) | st.builds(lambda tail: wire.CDR + tail, st.binary(max_size=200)))
+@given(
+    st.binary(max_size=200)
+    | st.builds(lambda tail: cdr.ENCAPSULATION + tail, st.binary(max_size=200))
+)
 def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
     """Any bytes at all are read or refused with a SignalError: nothing else comes out of them."""
     senses_wire, commands_wire = wire.SenseWire("leg", TICK_NS), wire.CommandWire("leg", TICK_NS)
@@ -427,15 +490,17 @@ def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
         senses_wire.read_joints,
         senses_wire.read_contact,
         commands_wire.read,
+        wire.BeatWire(TICK_NS).read,
+        wire.TransitionWire("leg", TICK_NS).read,
     ]
     for reader in readers:  # random bytes never carry the names
         with pytest.raises(SignalError):
             reader(data)
     if len(data) < 12:
         with pytest.raises(SignalError, match="bytes are no Float64"):
-            wire.read_phase(data, TICKS, "cpg/phase")
+            wire.read_bare_phase(data, TICKS, "cpg/phase")
         with pytest.raises(SignalError, match="bytes are no Clock"):
-            wire.read_clock(data, "clock")
+            cdr.read_clock(data, "clock")
 
 
 @given(senses, st.data())
@@ -454,12 +519,14 @@ def test_a_message_cut_short_is_refused(sense: LegSense, data: st.DataObject) ->
 
 
 @given(pushes)
-def test_a_push_survives_bit_for_bit(push: Push) -> None:
+def test_a_push_survives_bit_for_bit(push: UpdateBatch) -> None:
     """A push comes out of its request with every bit it went in with."""
     assert exactly(calls.read_push(calls.write_push(push))) == exactly(push)
 
 
-GOOD = Push(2, "a run", 5, cells_sha256(Params()), (Pair(160, 3, -0.0), Pair(161, 4, 1 / 3)))
+GOOD = UpdateBatch(
+    2, "a run", 5, cells_sha256(Params()), (TDUpdate(160, 3, -0.0), TDUpdate(161, 4, 1 / 3))
+)
 
 
 def of(request: SetParametersAtomically.Request, name: str) -> ParameterValue:
@@ -473,18 +540,18 @@ def test_a_push_with_a_field_missing_twice_or_of_another_type_is_refused(name: s
     """Each field must be there once and have its own type; the error names it."""
     request = calls.write_push(GOOD)
     request.parameters = [p for p in request.parameters if p.name != name]
-    with pytest.raises(PushError, match=f"^push: {name} missing"):
+    with pytest.raises(UpdateError, match=f"^push: {name} missing"):
         calls.read_push(request)
     request = calls.write_push(GOOD)
     request.parameters.append(Parameter(name=name, value=of(request, name)))
-    with pytest.raises(PushError, match=f"^push: field '{name}' is unknown or twice"):
+    with pytest.raises(UpdateError, match=f"^push: field '{name}' is unknown or repeated"):
         calls.read_push(request)
     for kind in range(12):
         request = calls.write_push(GOOD)
         value = of(request, name)
         if kind != value.type:
             value.type = kind
-            with pytest.raises(PushError, match=f"^push: {name} has parameter type {kind}"):
+            with pytest.raises(UpdateError, match=f"^push: {name} has parameter type {kind}"):
                 calls.read_push(request)
 
 
@@ -493,7 +560,7 @@ def test_a_push_with_an_unknown_field_is_refused() -> None:
     request = calls.write_push(GOOD)
     value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
     request.parameters.append(Parameter(name="trust_me", value=value))
-    with pytest.raises(PushError, match=r"'trust_me' is unknown .*leg, run, epoch"):
+    with pytest.raises(UpdateError, match=r"'trust_me' is unknown .*leg, run, epoch"):
         calls.read_push(request)
 
 
@@ -506,13 +573,13 @@ def test_a_push_of_unequal_lengths_is_refused(name: str) -> None:
         value.double_array_value = array("d", [0.0])
     else:
         value.integer_array_value = array("q", [1, 2, 3])
-    with pytest.raises(PushError, match=r"^push: tick, cell and target have"):
+    with pytest.raises(UpdateError, match=r"^push: tick, cell and target have"):
         calls.read_push(request)
 
 
 def test_an_empty_push_is_no_push() -> None:
     """A request without fields names all that are missing."""
-    with pytest.raises(PushError, match="leg, run, epoch, cells_sha256, tick, cell, target miss"):
+    with pytest.raises(UpdateError, match="leg, run, epoch, cells_sha256, tick, cell, target miss"):
         calls.read_push(SetParametersAtomically.Request())
 
 
@@ -522,23 +589,24 @@ def test_an_empty_push_is_no_push() -> None:
         (GOOD._replace(cells_sha256="0" * 64), "cells"),
         (GOOD._replace(cells_sha256=""), "cells"),
         (GOOD._replace(leg=-1), "leg -1"),
+        (GOOD._replace(leg=4), "leg 4"),
         (GOOD._replace(epoch=-1), "epoch -1"),
         (GOOD._replace(run=""), "run ''"),
-        (GOOD._replace(pairs=(Pair(1, -1, 0.0),)), "cell -1 is not in"),
-        (GOOD._replace(pairs=(Pair(1, 10**9, 0.0),)), "cell 1000000000 is not in"),
-        (GOOD._replace(pairs=(Pair(1, 1, math.nan),)), "target of cell 1 at tick 1 is nan"),
-        (GOOD._replace(pairs=(Pair(1, 1, -math.inf),)), "target of cell 1 at tick 1 is -inf"),
-        (GOOD._replace(pairs=(Pair(-1, 1, 0.0),)), "tick -1"),
-        (GOOD._replace(pairs=(*GOOD.pairs, Pair(1, 2, math.nan))), "target of cell 2"),
+        (GOOD._replace(updates=(TDUpdate(1, -1, 0.0),)), "cell -1 is not in"),
+        (GOOD._replace(updates=(TDUpdate(1, 10**9, 0.0),)), "cell 1000000000 is not in"),
+        (GOOD._replace(updates=(TDUpdate(1, 1, math.nan),)), "target of cell 1 at tick 1 is nan"),
+        (GOOD._replace(updates=(TDUpdate(1, 1, -math.inf),)), "target of cell 1 at tick 1 is -inf"),
+        (GOOD._replace(updates=(TDUpdate(-1, 1, 0.0),)), "tick -1"),
+        (GOOD._replace(updates=(*GOOD.updates, TDUpdate(1, 2, math.nan))), "target of cell 2"),
     ],
 )
-def test_a_push_that_says_nonsense_is_refused_whole(bad: Push, names: str) -> None:
+def test_a_push_that_says_nonsense_is_refused_whole(bad: UpdateBatch, names: str) -> None:
     """Values that fit their types and mean nothing are refused; nothing of the push is taken."""
     params = Params()
     table = empty_table(params)
-    shared = SharedTable(table, cells=cells_sha256(params), rate=Params().walk.rate)
+    shared = SharedTable(table, legs=4, cells=cells_sha256(params), rate=Params().walk.rate)
     before = table.sha256()
-    with pytest.raises(PushError, match=names):
+    with pytest.raises(UpdateError, match=names):
         shared.push(calls.read_push(calls.write_push(bad)))
     shared.merge()
     assert (table.sha256(), shared.version) == (before, 0)
@@ -563,7 +631,7 @@ def test_a_pull_survives_bit_for_bit(
     )
     asked_since, asked_upto, wanted = calls.read_pull(calls.write_pull(since, upto))
     assert (asked_since, asked_upto) == (-1 if since is None else since, upto)
-    response = GetParameters.Response(values=calls.answer_pull(wanted, changes, str))
+    response = GetParameters.Response(values=calls.write_pull_response(wanted, changes, str))
     read = calls.read_changes(response)
     assert read.version == version
     for ours, theirs in zip(read[1:], changes[1:], strict=True):
@@ -577,11 +645,11 @@ def test_a_pull_of_the_whole_table_is_the_table() -> None:
     for cell in range(15):
         table.put(cell, -cell / 7, cell)
     table.put(3, -0.0, 1)
-    shared = SharedTable(table, cells="", rate=Params().walk.rate)
+    shared = SharedTable(table, legs=4, cells="", rate=Params().walk.rate)
     request = GetParameters.Request(names=["about", "visits", "values", "cells", "version"])
     since, upto, wanted = calls.read_pull(request)
     assert (since, upto, wanted) == (None, None, request.names)
-    about, visits, values, cells, version = calls.answer_pull(
+    about, visits, values, cells, version = calls.write_pull_response(
         wanted, shared.pull(since, upto), lambda: "{}"
     )
     assert about.string_value == "{}"
@@ -597,25 +665,25 @@ def test_a_pull_of_the_whole_table_is_the_table() -> None:
 )
 def test_a_pull_of_something_unknown_is_refused(name: str) -> None:
     """The error names what was asked and what may be asked."""
-    with pytest.raises(PushError, match=rf"^pull: '{name}' is unknown; .*values, visits, about"):
+    with pytest.raises(UpdateError, match=rf"^pull: '{name}' is unknown; .*values, visits, about"):
         calls.read_pull(GetParameters.Request(names=["version", name]))
 
 
 @pytest.mark.parametrize("name", [f"since={2**63}", f"upto={2**63}", f"since=-{2**63 + 1}"])
 def test_a_pull_with_a_bound_that_is_no_64_bit_integer_is_refused(name: str) -> None:
     """A bound that no version or epoch can have is refused, not passed on to raise elsewhere."""
-    with pytest.raises(PushError, match=r"^pull: "):
+    with pytest.raises(UpdateError, match=r"^pull: "):
         calls.read_pull(GetParameters.Request(names=[name, "version"]))
 
 
 def test_an_empty_answer_to_a_pull_is_a_refusal() -> None:
     """A leg that is answered nothing says so, and takes nothing."""
-    with pytest.raises(PushError, match="refused"):
+    with pytest.raises(UpdateError, match="refused"):
         calls.read_changes(GetParameters.Response())
 
 
 def test_signals_have_no_field_that_wire_forgets() -> None:
-    """All fields of a sense and of a command differ in what they do to the bytes."""
+    """Every field of every signal differs in what it does to the bytes."""
     sense, command = EXTREME, LegCommand(3, 1.0, 2.0, 3.0, 4.0)
     senses_wire, commands_wire = wire.SenseWire("leg", TICK_NS), wire.CommandWire("leg", TICK_NS)
     packed = {senses_wire.pack(sense)}
@@ -626,6 +694,15 @@ def test_signals_have_no_field_that_wire_forgets() -> None:
     for field in command._fields:
         orders.add(commands_wire.pack(with_one(command, field, getattr(command, field) + 1)))
     assert len(orders) == 1 + len(command._fields)
+    beat, beats_wire = Beat(3, 0.5), wire.BeatWire(TICK_NS)
+    beats = {beats_wire.pack(each) for each in (beat, Beat(4, 0.5), Beat(3, 1.5))}
+    assert len(beats) == 1 + len(Beat._fields)
+    paid_wire = wire.TransitionWire("leg", TICK_NS)
+    other = Transition(4, 71, False, 7, (("height", 0.5), ("slip", 0.25)), 72, True, td_error=0.5)
+    paid = {paid_wire.pack(PAID)}
+    for field in PAID._fields:
+        paid.add(paid_wire.pack(with_one(PAID, field, getattr(other, field))))
+    assert len(paid) == 1 + len(PAID._fields)
 
 
 def test_cells_that_mean_something_else_have_another_sha256() -> None:

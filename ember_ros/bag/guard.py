@@ -1,4 +1,4 @@
-"""What is asked of a bag's files before anything in them is believed, unpacked or run. Pure."""
+"""Checks of a bag's files and contents before they are unpacked, loaded or run. Pure."""
 
 from __future__ import annotations
 
@@ -14,35 +14,37 @@ import yaml
 
 from ember_ros.errors import shown
 
-MOST_BYTES = 1 << 25
-"""Of a chunk or a message when it is unpacked: more is said before anything is unpacked."""
-MOST_OPEN = 1 << 25
-"""Bytes of chunks that are open together, since the times of their messages overlap."""
-MOST_RECORDS = 200_000
+MAX_BYTES = 1 << 25
+"""Of a chunk or a message when it is unpacked: a larger one is refused before that."""
+MAX_OPEN = 1 << 25
+"""Bytes of chunks that are open together because the times of their messages overlap."""
+MAX_RECORDS = 200_000
 """In one chunk."""
-MOST_TIMES = 100
-"""That a file may grow when all in it is unpacked, and MOST_BYTES; recordings grow tenfold."""
-MOST_TOPICS, MOST_NAME = 5000, 1000
+MAX_TIMES = 100
+"""Times its size, plus ``MAX_BYTES``, that a file may have unpacked; recordings grow tenfold."""
+MAX_TOPICS, MAX_NAME = 5000, 1000
 """Topics of a file, and characters of a topic or its type."""
-MOST_TOLD = 1 << 24
-"""Bytes of everything that one file tells of its topics."""
-MOST_TEXT = 1 << 22
+MAX_REPORTED = 1 << 24
+"""Bytes of all records on topics in one file."""
+MAX_TEXT = 1 << 22
 """Characters of a YAML text."""
-MOST_YAML, MOST_DEPTH = 200_000, 100
-"""Nodes of a YAML text when every alias is written out, and how deep they may lie."""
+MAX_YAML, MAX_DEPTH = 200_000, 100
+"""Nodes of a YAML text when every alias is expanded, and how deep they may be nested."""
 SLOWEST_S, SLOWEST_BYTES_S = 10.0, 20e6
-"""Wall time that SQLite has to look at a file: so much, and so much more for what is in it."""
+"""Wall time in which SQLite must check a file: a constant, and its size over a rate."""
 _STEPS = 100_000
-"""Steps of SQLite between two looks at the time."""
+"""Steps of SQLite between two checks of the time."""
 
-LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, where it is
+LOADER: Any = getattr(
+    yaml, "CSafeLoader", yaml.SafeLoader
+)  # ten times as fast, where it is installed
 
 
 def check_file(file: Path, folder: Path) -> None:
-    """Hold that a file of a bag is one, and lies in the bag's folder.
+    """Check that a file of a bag is a regular one in the bag's folder.
 
     Raises:
-        OSError: it is not there.
+        OSError: it does not exist.
         ValueError: it is a pipe, a device or a folder, or a link to somewhere else.
     """
     try:
@@ -57,42 +59,42 @@ def check_file(file: Path, folder: Path) -> None:
 
 
 def check_topics(topics: Collection[tuple[str, str]]) -> None:
-    """Hold that the topics of a file, and their types, can be those of a robot.
+    """Check the number of a file's topics, and the lengths of their names and types.
 
     Raises:
         ValueError: there are too many, or one has too long a name.
     """
-    if len(topics) > MOST_TOPICS:
-        raise ValueError(f"{len(topics)} topics; up to {MOST_TOPICS} would be right")
+    if len(topics) > MAX_TOPICS:
+        raise ValueError(f"{len(topics)} topics; up to {MAX_TOPICS} would be right")
     for name in (name for topic in topics for name in topic):
-        if len(name) > MOST_NAME:
+        if len(name) > MAX_NAME:
             raise ValueError(f"a topic or a type of {len(name)} characters: {shown(name)}")
 
 
 def load_yaml(text: str) -> Any:
-    """Return what a YAML text says.
+    """Return the content of a YAML text.
 
     Raises:
-        ValueError: it is none, is nested too deeply, or grows beyond all measure by its aliases.
+        ValueError: it is no YAML, is nested too deeply, or its aliases expand to too much.
     """
-    if len(text) > MOST_TEXT:
-        raise ValueError(f"{len(text)} characters of YAML; up to {MOST_TEXT} would be right")
+    if len(text) > MAX_TEXT:
+        raise ValueError(f"{len(text)} characters of YAML; up to {MAX_TEXT} would be right")
     try:
         _check_yaml(text)
         return yaml.load(text, LOADER)
-    except Exception as error:  # wrong tags and dates make it raise nearly anything
+    except Exception as error:  # wrong tags and dates raise many kinds
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
 
 
 def _check_yaml(text: str) -> None:
-    """Go through a text's events: a loader would already have built what they make."""
+    """Check a text's events, since a loader would build the objects first."""
     sizes: dict[str, int] = {}
     inside: list[tuple[str | None, int]] = []
     nodes = 0
     for event in yaml.parse(text, LOADER):
         if isinstance(event, yaml.AliasEvent):
             if event.anchor not in sizes:
-                raise ValueError(f"*{event.anchor} stands for nothing, or for what it is in")
+                raise ValueError(f"alias *{event.anchor} has no anchor, or is inside of it")
             nodes += sizes[event.anchor]
         elif isinstance(event, yaml.CollectionStartEvent):
             inside.append((event.anchor, nodes))
@@ -105,31 +107,31 @@ def _check_yaml(text: str) -> None:
             nodes += 1
             if event.anchor is not None:
                 sizes[event.anchor] = 1
-        if nodes > MOST_YAML or len(inside) > MOST_DEPTH:
+        if nodes > MAX_YAML or len(inside) > MAX_DEPTH:
             raise ValueError(
-                f"more than {MOST_YAML} values by its aliases, or more than {MOST_DEPTH} deep"
+                f"more than {MAX_YAML} values by its aliases, or more than {MAX_DEPTH} deep"
             )
 
 
 def check_database(database: sqlite3.Connection, size: int) -> None:
-    """Hold that a database is what it seems: sound pages, tables that are tables, sizes in bounds.
+    """Check that a database has sound pages, stored tables only, and sizes within the limits.
 
-    A virtual table, a generated column or a constraint computes, and may do so for ever; of pages
-    that lie in each other there is no end either. (Nobody reads the views.)
+    A virtual table, a generated column or a constraint computes, perhaps without end; so do pages
+    that refer to each other. (Views are never read.)
 
     Args:
         database: an open one.
         size: of its file, bytes.
 
     Raises:
-        ValueError: it is none of a bag.
+        ValueError: it cannot be a file of a bag.
         sqlite3.Error: it is damaged.
     """
     deadline = time.monotonic() + SLOWEST_S + size / SLOWEST_BYTES_S
     database.set_progress_handler(lambda: time.monotonic() > deadline, _STEPS)
     try:
         if sys.version_info >= (3, 11):
-            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_BYTES)
         database.execute("PRAGMA trusted_schema=OFF")
         database.execute("PRAGMA ignore_check_constraints=ON")
         computed = (
@@ -139,9 +141,9 @@ def check_database(database: sqlite3.Connection, size: int) -> None:
         )
         for query in computed:
             for (name,) in database.execute(query):
-                raise ValueError(f"table {shown(name)} is computed; nothing in a bag is")
-        (said,) = database.execute("PRAGMA quick_check(1)").fetchone()
-        if said != "ok":
-            raise ValueError(" ".join(str(said).split()))
+                raise ValueError(f"table {shown(name)} is computed; a stored one would be right")
+        (result,) = database.execute("PRAGMA quick_check(1)").fetchone()
+        if result != "ok":
+            raise ValueError(" ".join(str(result).split()))
     finally:
         database.set_progress_handler(None, 0)

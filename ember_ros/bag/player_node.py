@@ -1,30 +1,36 @@
-"""Says again what a bag holds, as fast as it was: for rviz, Foxglove, PlotJuggler, a live leg."""
+"""Publishes the messages of a bag at their recorded times: for rviz, Foxglove, PlotJuggler."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from typing import Any
 
+import rclpy
 from rclpy.exceptions import InvalidTopicNameException
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool
 
 from ember_ros import topics
-from ember_ros.bag.reading import Bag, Raw
-from ember_ros.bag.recording import absolute
+from ember_ros.bag.reader import Bag, Raw
+from ember_ros.bag.run_writer import absolute
 from ember_ros.errors import BagError
-from ember_ros.seat import Seat, TakenError
+from ember_ros.name_lock import NameLock, NameTakenError
 
 PAUSE = topics.Service("play/pause", "std_srvs/srv/SetBool")
-MOST = 256
-"""Messages a turn: Fast DDS holds 512 between two processes."""
+MAX_PER_TURN = 256
+"""Messages per turn: Fast DDS queues 512 between two processes."""
 LONGEST_GAP_S = 30.0
-"""Of the bag's own time without a message: what is longer is left out."""
+"""Of the bag's time without a message: a longer gap is left out."""
 NOT_PLAYED = ("/rosout", "/parameter_events")
-"""What `ros2 bag record --all` records too, and every node that runs publishes itself."""
+"""Topics that `ros2 bag record --all` records, and that every running node publishes itself."""
 SHORTEST_S, LONGEST_S = 0.001, 0.05
-"""Wall time between two looks at what is due: about a tick, within these."""
+"""Limits of the timer's period, wall time; it is half a tick where that is between them."""
+DISCOVERY_S = 1.0
+"""Wall time in which a player looks for other publishers of its topics."""
 
 
 class PlayerNode(Node):  # type: ignore[misc]
@@ -48,26 +54,26 @@ class PlayerNode(Node):  # type: ignore[misc]
 
         Args:
             bag: an open one.
-            rate: times the recorded speed.
-            start_s: simulated seconds to leave out at the beginning.
+            rate: factor of the recorded speed.
+            start_s: simulated seconds to skip.
             paused: whether to begin paused.
-            live: legs whose commands and transitions are left out, since live nodes say them; it
-                begins when these are there.
+            live: legs whose commands and transitions are left out: live nodes publish them, and
+                playing begins when these nodes are there.
             **kwargs: go to rclpy's ``Node``.
 
         Raises:
-            BagError: a live leg is none of the bag's, the bag ends before ``start_s``, or a robot
-                on this machine says one of the topics.
+            BagError: the bag has no such live leg, it ends before ``start_s``, or a robot on this
+                machine publishes one of the topics.
         """
         super().__init__("player_node", namespace=bag.namespace or None, **kwargs)
         self.done = False
         self.failed: BagError | None = None
-        """Why it ended before the bag did, if it did."""
+        """Why it ended before the bag, if it did."""
         self.paused = paused
         self.played = 0
-        """Messages that were published."""
+        """Messages published so far."""
         self.seconds = start_s
-        """How far into the bag it is, in the bag's own time without the gaps that are left out."""
+        """Position in the bag, in the bag's time without the gaps that are left out."""
         for leg in live:
             if leg not in bag.legs:
                 raise BagError(f"{bag.path} has no leg {leg!r}; it has {', '.join(bag.legs)}")
@@ -79,10 +85,10 @@ class PlayerNode(Node):  # type: ignore[misc]
             for each in bag.robots()
             if each != bag.namespace and absolute(each, "").startswith(prefix)
         )
-        said = (topics.command, topics.transition)
-        left_out = {absolute(bag.namespace, make(leg).name) for leg in live for make in said}
-        self._sayers: dict[str, Any] = {}
-        self._seats: list[Seat] = []
+        makers = (topics.command, topics.transition)
+        left_out = {absolute(bag.namespace, make(leg).name) for leg in live for make in makers}
+        self._bag_publishers: dict[str, Any] = {}
+        self._locks: list[NameLock] = []
         for topic, connection in bag.connections.items():
             if topic in left_out or not topic.startswith(prefix) or topic.startswith(others):
                 continue
@@ -91,55 +97,55 @@ class PlayerNode(Node):  # type: ignore[misc]
                 continue
             if connection.encoding != "cdr" or connection.msgtype.split("/")[1:2] != ["msg"]:
                 self.get_logger().warning(
-                    f"{topic} is left out: no messages of ROS 2, but {connection.encoding} of type "
+                    f"{topic} is left out: not CDR of ROS 2, but {connection.encoding} of type "
                     f"{connection.msgtype!r}"
                 )
                 continue
             try:
                 named = topics.Topic(topic, connection.msgtype)
-                self._sayers[topic] = named.publish(self)
-                self._seats.append(self._seat(topic))
+                self._bag_publishers[topic] = named.publish(self)
+                self._locks.append(self._lock(topic))
             except (ImportError, AttributeError, ValueError):
                 self.get_logger().warning(
-                    f"{topic} is left out: there is no {connection.msgtype} in this environment"
+                    f"{topic} is left out: {connection.msgtype} is not installed here"
                 )
             except InvalidTopicNameException:
-                self.get_logger().warning(f"{topic} is left out: that is no name of a topic")
-        self._types = {topic: bag.connections[topic].msgtype for topic in self._sayers}
-        self.messages = sum(bag.connections[topic].msgcount for topic in self._sayers)
-        """How many there are to publish."""
+                self.get_logger().warning(f"{topic} is left out: it is no valid topic name")
+        self._types = {topic: bag.connections[topic].msgtype for topic in self._bag_publishers}
+        self.messages = sum(bag.connections[topic].msgcount for topic in self._bag_publishers)
+        """Messages to publish in all."""
         self._clock_name = absolute(bag.namespace, topics.CLOCK.name)
-        self._also = None
-        if self._clock_name in self._sayers and self._clock_name != "/clock":
-            self._also = topics.Topic("/clock", topics.CLOCK.kind).publish(self)
+        self._global_clock = None
+        if self._clock_name in self._bag_publishers and self._clock_name != "/clock":
+            self._global_clock = topics.Topic("/clock", topics.CLOCK.kind).publish(self)
         self._messages: Iterator[Raw] = bag.raw(int(start_s * 1e9))
         self._next = next(self._messages, None)
         if self._next is None:
             raise BagError(f"{bag.path} ends before {start_s} s")
-        self._hears = [
-            self._sayers[absolute(bag.namespace, make(leg).name)]
+        self._leg_inputs = [
+            self._bag_publishers[absolute(bag.namespace, make(leg).name)]
             for leg in live
             for make in (topics.joint_states, topics.contact)
         ]
-        self._waited = bool(live)
+        self._waiting = bool(live)
         self._last = time.monotonic()
         PAUSE.serve(self, self._pause)
         tick_s = bag.params.gait.tick_s
         self.create_timer(min(max(tick_s / rate / 2, SHORTEST_S), LONGEST_S), self._turn)
 
-    def _seat(self, topic: str) -> Seat:
-        """Take the seat of who says a topic, so that no robot begins beside the recorded one."""
+    def _lock(self, topic: str) -> NameLock:
+        """Lock the name of a topic's publisher, so that no robot starts beside the recorded one."""
         try:
-            return Seat(self.context.get_domain_id(), topic, self.get_fully_qualified_name())
-        except TakenError as why:
-            taken = str(why).partition(";")[0]
+            return NameLock(self.context.get_domain_id(), topic, self.get_fully_qualified_name())
+        except NameTakenError as error:
+            taken = str(error).partition(";")[0]
             raise BagError(
                 f"a robot is running here: {taken}; stop it, or play in another ROS_DOMAIN_ID"
             ) from None
 
     def others(self) -> list[str]:
-        """Return the topics of the bag that somebody else publishes: a robot that is running."""
-        return [topic for topic in self._sayers if self.count_publishers(topic) > 1]
+        """Return the topics of the bag that have another publisher: a running robot."""
+        return [topic for topic in self._bag_publishers if self.count_publishers(topic) > 1]
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self.paused = request.data
@@ -148,44 +154,85 @@ class PlayerNode(Node):  # type: ignore[misc]
         return response
 
     def _turn(self) -> None:
-        """Publish what is due."""
+        """Publish the messages that are due."""
         now = time.monotonic()
-        passed, self._last = now - self._last, now
-        if self._waited:
-            says = (self.count_publishers(topics.command(leg).name) for leg in self._live)
-            if not (all(hears.get_subscription_count() for hears in self._hears) and all(says)):
+        elapsed, self._last = now - self._last, now
+        if self._waiting:
+            publishers = (self.count_publishers(topics.command(leg).name) for leg in self._live)
+            if not (
+                all(each.get_subscription_count() for each in self._leg_inputs) and all(publishers)
+            ):
                 self.get_logger().info(
                     f"waiting for {', '.join(self._live)}", throttle_duration_sec=5.0
                 )
                 return
-            self._waited = False
+            self._waiting = False
             return
         if self.paused or self.done:
             return
-        self.seconds += passed * self._rate
+        self.seconds += elapsed * self._rate
         due = self._origin + int(self.seconds * 1e9)
         if self._next is not None and (gap := self._next.ns - due) > LONGEST_GAP_S * 1e9:
             self.get_logger().info(f"nothing for {gap * 1e-9:.0f} s: left out")
             self._origin, due = self._origin + gap, due + gap
-        most = self.played + MOST
-        while self._next is not None and self._next.ns <= due and self.played < most:
-            publisher = self._sayers.get(self._next.topic)
+        limit = self.played + MAX_PER_TURN
+        while self._next is not None and self._next.ns <= due and self.played < limit:
+            publisher = self._bag_publishers.get(self._next.topic)
             if publisher is not None and self._next.kind == self._types[self._next.topic]:
                 publisher.publish(self._next.data)
                 self.played += 1
-                if self._also is not None and self._next.topic == self._clock_name:
-                    self._also.publish(self._next.data)
+                if self._global_clock is not None and self._next.topic == self._clock_name:
+                    self._global_clock.publish(self._next.data)
             try:
                 self._next = next(self._messages, None)
-            except BagError as error:  # told outside: an executor would log it as a crash
+            except BagError as error:  # raised by the caller: an executor would log it as a crash
                 self.failed, self._next = error, None
         self.done = self._next is None
 
     def finish(self, spin: Callable[[], None]) -> None:
-        """Nothing to bring home."""
+        """Do nothing: all messages are published."""
 
     def destroy_node(self) -> None:
-        """Destroy the node and leave its seats."""
+        """Destroy the node and release its seats."""
         super().destroy_node()
-        for seat in self._seats:
-            seat.leave()
+        for lock in self._locks:
+            lock.release()
+
+
+@contextmanager
+def playing(
+    bag: Bag, go_on: Callable[[], bool], **options: Any
+) -> Iterator[tuple[PlayerNode, Callable[[], None]]]:
+    """Make a paused player on a graph where nothing else publishes its topics.
+
+    Args:
+        bag: an open one.
+        go_on: returns whether to go on looking for other publishers.
+        **options: go to ``PlayerNode``.
+
+    Yields:
+        The player, and a function that spins it for at most ``LONGEST_S``.
+
+    Raises:
+        BagError: as ``PlayerNode``, or a robot on the graph publishes one of the topics.
+    """
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = None
+    try:
+        node = PlayerNode(bag, paused=True, **options)
+        executor = EventsExecutor()
+        executor.add_node(node)
+        deadline = time.monotonic() + DISCOVERY_S
+        while time.monotonic() < deadline and go_on():
+            executor.spin_once(timeout_sec=LONGEST_S)
+        if others := node.others():
+            raise BagError(
+                f"a robot is running here: {', '.join(others[:3])} and others have publishers, and "
+                "its nodes would receive the recorded messages; stop it, or play in another "
+                "ROS_DOMAIN_ID"
+            )
+        yield node, lambda: executor.spin_once(timeout_sec=LONGEST_S)
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()

@@ -1,4 +1,4 @@
-"""Brings back what is whole in a bag whose recording was cut off, or that was damaged later."""
+"""Restores what is intact in a bag whose recording was cut off, or that was damaged later."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from ember_ros.bag.files import (
+from ember_ros.bag.compression import plain, unpacked
+from ember_ros.bag.files import Files, files_of
+from ember_ros.bag.guard import MAX_BYTES, MAX_TIMES, check_file, load_yaml
+from ember_ros.bag.mcap_file import (
     CHANNEL,
     CHUNK,
     FOOTER,
@@ -21,139 +24,133 @@ from ember_ros.bag.files import (
     MESSAGE,
     SCHEMA,
     Channels,
-    Connection,
-    Files,
-    Key,
-    Sqlite3,
     bounded,
     chunk,
-    files_of,
     message_in,
-    plain,
     records_in,
-    unpacked,
 )
-from ember_ros.bag.guard import MOST_BYTES, MOST_TIMES, check_file, load_yaml
+from ember_ros.bag.messages import Connection, Key
+from ember_ros.bag.sqlite3_file import Sqlite3
 from ember_ros.bag.storage import (
     METADATA,
     QOS,
     STORAGES,
     BagOptions,
-    BagWriter,
     Definition,
+    McapWriter,
     definition,
     lock,
     read_metadata,
 )
+from ember_ros.bounded_io import open_file
 from ember_ros.errors import BagError
-from ember_ros.given import open_file
 
-MOST_QOS = 100
-"""Profiles of one topic, which are its publishers."""
+MAX_QOS = 100
+"""QoS profiles of one topic, one per publisher."""
 FLUSH_MESSAGES = 1000
-"""Messages a chunk, where those that are brought back lay in none."""
+"""Messages per chunk, where the restored ones are in none."""
 
 
 class Repaired(NamedTuple):
-    """What was brought back."""
+    """The result of a repair."""
 
     messages: int
     seconds: float
-    """From the first message to the last, in the bag's own time."""
+    """From the first message to the last, in the bag's time."""
     chunks: int
-    """Chunks of MCAP, or topics of SQLite, that were whole."""
+    """Intact chunks of MCAP, or topics of SQLite."""
     damaged: int
-    """Chunks that were not, among whole ones."""
+    """Damaged chunks among intact ones."""
     torn_bytes: int
-    """Behind the last whole record: what was being written when the recording was cut off."""
+    """Behind the last intact record: what was being written when the recording was cut off."""
     original: Path | None = None
-    """Where the damaged bag is now; None if it was dropped, or was never damaged."""
+    """Where the damaged bag is now; None if it was removed, or was never damaged."""
     healthy: bool = False
-    """Whether nothing is wrong with the bag, and nothing was touched."""
+    """Whether the bag is intact, and was not changed."""
 
 
-class _Sum:
-    """The messages of one topic, in whatever order they come: equal sums are equal messages."""
+class _Checksum:
+    """Of the messages of one topic, in any order: equal sums are equal messages."""
 
     def __init__(self) -> None:
         self.count = self.bytes = self.digest = 0
 
     def add(self, ns: int, data: bytes) -> None:
-        told = hashlib.blake2b(data, digest_size=8, salt=ns.to_bytes(8, "little")).digest()
+        digest = hashlib.blake2b(data, digest_size=8, salt=ns.to_bytes(8, "little")).digest()
         self.count, self.bytes = self.count + 1, self.bytes + len(data)
-        self.digest = (self.digest + int.from_bytes(told, "little")) % (1 << 64)
+        self.digest = (self.digest + int.from_bytes(digest, "little")) % (1 << 64)
 
     def all(self) -> tuple[int, int, int]:
         return self.count, self.bytes, self.digest
 
 
 class _Copy:
-    """A bag that is written from what is whole in another."""
+    """A new bag that receives what is intact in another."""
 
-    def __init__(self, writer: BagWriter, qos: dict[Key, Sequence[Any]]) -> None:
+    def __init__(self, writer: McapWriter, qos: dict[Key, Sequence[Any]]) -> None:
         self.writer, self._qos = writer, qos
         self.chunks = self.damaged = self.torn = 0
         self.first: int | None = None
         self.last = 0
-        self.sums: dict[Key, _Sum] = {}
+        self.checksums: dict[Key, _Checksum] = {}
 
     def channel(self, connection: Connection) -> int:
-        """Return the number of a topic, which keeps its definition and quality of service."""
+        """Return the channel of a topic, with the definition and QoS that it has in the old bag."""
         topic, kind = connection[:2]
         encoding, text = connection.schema
-        known = Definition("", connection.told.get("topic_type_hash", ""), "")
+        known = Definition("", connection.metadata.get("topic_type_hash", ""), "")
         if text:
             known = known._replace(text=text.decode(errors="replace"), encoding=encoding)
         else:
-            with contextlib.suppress(BagError):  # of a type that nobody here knows: without one
+            with contextlib.suppress(BagError):  # an unknown type stays without a definition
                 known = definition(kind)
-        qos = self._qos.get((topic, kind)) or _qos(connection.told.get("offered_qos_profiles"))
+        qos = self._qos.get((topic, kind)) or _profiles(
+            connection.metadata.get("offered_qos_profiles")
+        )
         return self.writer.channel(topic, kind, known, qos)
 
     def write(self, number: int, key: Key, ns: int, data: bytes) -> None:
         """Write a message."""
         self.writer.write(number, ns, data)
-        self.sums.setdefault(key, _Sum()).add(ns, data)
+        self.checksums.setdefault(key, _Checksum()).add(ns, data)
         self.first = ns if self.first is None else min(self.first, ns)
         self.last = max(self.last, ns)
 
 
 def repair(folder: Path, *, drop: bool = False) -> Repaired:
-    """Write a bag anew from its whole chunks; the damaged one is kept beside it.
+    """Write a new bag from the intact chunks of a damaged one, which is kept beside it.
 
-    A bag with which nothing is wrong is not touched.
+    An intact bag is not changed.
 
     Args:
         folder: of the bag.
-        drop: whether to remove the damaged one once the new one was read back whole.
+        drop: whether to remove the damaged one once the new one is verified.
 
     Raises:
-        BagError: there is no bag, nothing in it is whole, or it cannot be written; then what was
-            there is untouched.
+        BagError: there is no bag, nothing in it is intact, or it cannot be written; then the old
+            one is not changed.
     """
     files = _files(folder)
-    held = lock(folder)
+    lock_descriptor = lock(folder)
     place = folder.resolve()
     draft = place.with_name(f".{place.name}.repair")
     original = place.with_name(f"{place.name}.orig")
     copy: _Copy | None = None
     try:
-        if healthy := _whole(folder):
+        if healthy := _healthy(folder):
             return healthy
         if original.exists():
-            raise BagError(
-                f"{original} is there already: what an earlier repair kept; move it away"
-            )
+            raise BagError(f"{original} exists already: an earlier repair kept it; move it away")
         shutil.rmtree(draft, ignore_errors=True)
-        copy = _Copy(BagWriter(BagOptions(draft / place.name)), _qos_of(folder))
+        copy = _Copy(McapWriter(BagOptions(draft / place.name)), _qos_of(folder))
         for n, file in enumerate(_plain(files, draft)):
             if n:
                 copy.writer.begin_file()
             (_copy_sqlite3 if file.name.endswith(STORAGES["sqlite3"]) else _copy_mcap)(file, copy)
         if not copy.writer.messages:
-            raise BagError(f"nothing in {folder} is whole: not one chunk was finished")
-        copy.writer.close(_kept(folder, copy))
-        _read_back(draft / place.name, copy)
+            raise BagError(f"nothing in {folder} is intact: it has no complete chunk")
+        copy.writer.close(_custom_data(folder, copy))
+        _verify(draft / place.name, copy)
         os.rename(place, original)
         try:
             os.rename(draft / place.name, place)
@@ -166,7 +163,7 @@ def repair(folder: Path, *, drop: bool = False) -> Repaired:
         raise BagError(f"cannot repair {folder}: {error.strerror}") from error
     except BagError as error:
         why: object = error
-        if str(draft) in str(error):  # the writer's own: it speaks of a folder that is gone
+        if str(draft) in str(error):  # an error of the writer: it names the draft, which is gone
             why = getattr(error.__cause__, "strerror", None) or error.__cause__
         elif str(folder) in str(error):
             raise
@@ -175,7 +172,7 @@ def repair(folder: Path, *, drop: bool = False) -> Repaired:
         if copy is not None:
             copy.writer.abandon()
         shutil.rmtree(draft, ignore_errors=True)
-        os.close(held)
+        os.close(lock_descriptor)
     seconds = (copy.last - (copy.first or 0)) * 1e-9
     return Repaired(
         copy.writer.messages, seconds, copy.chunks, copy.damaged, copy.torn,
@@ -183,11 +180,11 @@ def repair(folder: Path, *, drop: bool = False) -> Repaired:
     )  # fmt: skip
 
 
-def _whole(folder: Path) -> Repaired | None:
-    """Return what is in a bag of which every byte and message is as it was written; else None."""
+def _healthy(folder: Path) -> Repaired | None:
+    """Return the result for a bag in which every byte and message is intact; None for others."""
     if not (folder / METADATA).exists():
         return None
-    # Whatever is wrong with it: that is what a repair is for.
+    # Every error means that the bag needs a repair.
     with contextlib.suppress(Exception), contextlib.closing(Files(folder)) as files:
         files.check()
         times = [message.ns for message in files.messages()]
@@ -196,20 +193,20 @@ def _whole(folder: Path) -> Repaired | None:
     return None
 
 
-def _read_back(folder: Path, copy: _Copy) -> None:
-    """Hold the new bag against what was meant to be in it, byte for byte."""
-    found: dict[Key, _Sum] = {}
+def _verify(folder: Path, copy: _Copy) -> None:
+    """Compare the new bag with what was written into it, byte for byte."""
+    checksums: dict[Key, _Checksum] = {}
     try:
         with contextlib.closing(Files(folder)) as files:
             files.check()
             for ns, topic, kind, data in files.messages():
-                found.setdefault((topic, kind), _Sum()).add(ns, data)
+                checksums.setdefault((topic, kind), _Checksum()).add(ns, data)
     except ValueError as error:
-        raise BagError(f"what was written could not be read back: {error}") from error
-    if {key: each.all() for key, each in found.items()} != {
-        key: each.all() for key, each in copy.sums.items()
+        raise BagError(f"the new bag cannot be read: {error}") from error
+    if {key: checksum.all() for key, checksum in checksums.items()} != {
+        key: checksum.all() for key, checksum in copy.checksums.items()
     }:
-        raise BagError("what was written was read back as something else")
+        raise BagError("the new bag does not hold what was written into it")
 
 
 def _metadata(folder: Path) -> dict[str, Any]:
@@ -219,18 +216,18 @@ def _metadata(folder: Path) -> dict[str, Any]:
         return {}
 
 
-def _kept(folder: Path, copy: _Copy) -> dict[str, str]:
-    """Return what the old metadata knew of the run's end, if nothing of the run is missing."""
+def _custom_data(folder: Path, copy: _Copy) -> dict[str, str]:
+    """Return the old metadata's ``custom_data`` if no message is missing; else nothing."""
     old = _metadata(folder)
     count = old.get("message_count")
-    whole = not copy.damaged and not copy.torn and count == copy.writer.messages
+    complete = not copy.damaged and not copy.torn and count == copy.writer.messages
     custom = old.get("custom_data")
-    return dict(custom) if whole and isinstance(custom, dict) else {}
+    return dict(custom) if complete and isinstance(custom, dict) else {}
 
 
 # -- quality of service ----------------------------------------------------------------------------
 
-_WORDS = {
+_QOS_NAMES = {
     "history": ("system_default", "keep_last", "keep_all", "unknown"),
     "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
     "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
@@ -239,106 +236,107 @@ _WORDS = {
         "best_available",
     ),
 }  # fmt: skip
-"""What rmw's numbers mean, which rosbag2 wrote before version 9."""
+"""The names of rmw's numbers, which rosbag2 wrote before version 9."""
 
 
-def _qos(told: Any) -> Sequence[Any]:
-    """Return profiles, from whichever version, in the words of version 9; ours if there are none.
+def _profiles(content: Any) -> Sequence[Any]:
+    """Return the QoS profiles of any version with the names of version 9.
 
-    What is no list of profiles tells nothing.
+    Returns:
+        The profiles; our own where ``content`` is no list of profiles.
     """
-    if isinstance(told, str):
+    if isinstance(content, str):
         try:
-            told = load_yaml(told if len(told) < MOST_QOS * 1000 else "")
+            content = load_yaml(content if len(content) < MAX_QOS * 1000 else "")
         except ValueError:
             return QOS
-    if not isinstance(told, list) or not all(map(_is_profile, told[:MOST_QOS])):
+    if not isinstance(content, list) or not all(map(_is_profile, content[:MAX_QOS])):
         return QOS
     profiles = []
-    for each in told[:MOST_QOS]:
+    for each in content[:MAX_QOS]:
         profile = dict(each)
-        for name, words in _WORDS.items():
-            if type(profile.get(name)) is int and 0 <= profile[name] < len(words):
-                profile[name] = words[profile[name]]
+        for name, values in _QOS_NAMES.items():
+            if type(profile.get(name)) is int and 0 <= profile[name] < len(values):
+                profile[name] = values[profile[name]]
         profiles.append(profile)
     return profiles or QOS
 
 
-def _is_profile(told: Any) -> bool:
-    """Return whether something has the words and numbers of a profile, and nothing else."""
+def _is_profile(value: Any) -> bool:
+    """Return whether a value has the keys and plain values of a profile, and nothing else."""
 
-    def plain(value: Any) -> bool:
-        return isinstance(value, (bool, int)) or (isinstance(value, str) and len(value) < 100)
+    def plain(item: Any) -> bool:
+        return isinstance(item, (bool, int)) or (isinstance(item, str) and len(item) < 100)
 
     return (
-        isinstance(told, dict)
-        and told.keys() <= QOS[0].keys()
+        isinstance(value, dict)
+        and value.keys() <= QOS[0].keys()
         and all(
-            plain(value)
-            or (isinstance(value, dict) and len(value) < 4 and all(map(plain, value.values())))
-            for value in told.values()
+            plain(item)
+            or (isinstance(item, dict) and len(item) < 4 and all(map(plain, item.values())))
+            for item in value.values()
         )
     )
 
 
 def _qos_of(folder: Path) -> dict[Key, Sequence[Any]]:
-    """Return what the old metadata says of each topic's quality of service."""
-    found: dict[Key, Sequence[Any]] = {}
+    """Return each topic's QoS profiles in the old metadata."""
+    qos: dict[Key, Sequence[Any]] = {}
     with contextlib.suppress(KeyError, TypeError, AttributeError):
         for each in _metadata(folder).get("topics_with_message_count") or ():
             topic = each["topic_metadata"]
             if topic.get("offered_qos_profiles"):
                 key = str(topic["name"]), str(topic["type"])
-                found[key] = _qos(topic["offered_qos_profiles"])
-    return found
+                qos[key] = _profiles(topic["offered_qos_profiles"])
+    return qos
 
 
 # -- files -----------------------------------------------------------------------------------------
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the files of one storage, in the order in which they were written."""
+    """Return the bag's files of one storage, in the order in which they were written."""
     if folder.is_file():
-        raise BagError(f"{folder} is one file; the folder that it lies in would be right")
+        raise BagError(f"{folder} is one file; its folder would be right")
     if not folder.is_dir():
-        raise BagError(f"there is no bag {folder}; the folder of one would be right")
+        raise BagError(f"there is no bag {folder}; the folder of a bag would be right")
 
     def number(file: Path) -> tuple[int, str]:
-        found = re.search(r"_(\d+)\.", file.name)
-        return int(found[1]) if found else -1, file.name
+        match = re.search(r"_(\d+)\.", file.name)
+        return int(match[1]) if match else -1, file.name
 
-    every = files_of(folder)
+    bag_files = files_of(folder)
     try:
-        for file in every:
+        for file in bag_files:
             check_file(file, folder)
     except (OSError, ValueError) as error:
         raise BagError(f"{folder}: {error}") from error
     for end in STORAGES.values():
-        files = sorted((file for file in every if end in file.suffixes), key=number)
+        files = sorted((file for file in bag_files if end in file.suffixes), key=number)
         if files:
             return files
     raise BagError(f"{folder} is no bag: it has no file of {' or '.join(STORAGES.values())}")
 
 
 def _plain(files: Sequence[Path], draft: Path) -> Iterator[Path]:
-    """Yield the files as they are when nothing is compressed around them, unpacked into a draft."""
+    """Yield the files; one that is compressed as a whole is unpacked into a draft first."""
     for file in files:
         try:
             yield unpacked(file, draft)
-        except Exception:  # zstd raises nearly anything; what it gave until then is there
+        except Exception:  # zstd raises many kinds; what was unpacked until then is used
             yield draft / file.stem
 
 
 def _copy_mcap(file: Path, copy: _Copy) -> None:
-    """Copy every whole chunk, each as a chunk again."""
+    """Copy every intact chunk, each as a chunk again."""
     channels = Channels()
-    size, whole = file.stat().st_size, 0
+    size, intact_end = file.stat().st_size, 0
     with open_file(file) as raw:
-        # What channels there are is said again at the end of a file that was finished.
+        # The end of a finished file lists the channels again.
         for _, inside, _ in _records(raw, size):
             for kind, data in inside or ():
                 with contextlib.suppress(ValueError, UnicodeDecodeError):
-                    channels.learn(kind, data)
+                    channels.add(kind, data)
         numbers: dict[int, int] = {}
 
         def channel(number: int) -> int:
@@ -353,12 +351,12 @@ def _copy_mcap(file: Path, copy: _Copy) -> None:
                     break
                 copy.damaged += 1
                 continue
-            whole = end
+            intact_end = end
             for kind, data in inside:
                 if kind == MESSAGE:
-                    ns, number, sent = message_in(data)
+                    ns, number, message = message_in(data)
                     if number in channels.keys:
-                        copy.write(channel(number), channels.keys[number], ns, sent)
+                        copy.write(channel(number), channels.keys[number], ns, message)
                         loose += 1
                 elif kind == CHANNEL and outer == CHUNK:
                     number = int.from_bytes(data[:2], "little")
@@ -369,18 +367,18 @@ def _copy_mcap(file: Path, copy: _Copy) -> None:
                 copy.writer.flush()
                 loose = 0
         copy.writer.flush()
-    copy.torn += size - whole
+    copy.torn += size - intact_end
 
 
 def _records(raw: BinaryIO, size: int) -> Iterator[tuple[int, list[tuple[int, bytes]] | None, int]]:
-    """Yield whole records: what each is, what is inside, None if that is damaged, and its end.
+    """Yield complete records: the kind, the content (None if it is damaged), and the end.
 
-    Messages inside are as they were sent, whatever they were compressed with.
+    Messages in the content are uncompressed.
     """
     raw.seek(0)
     if raw.read(len(MAGIC)) != MAGIC:
         return
-    at, most = len(MAGIC), MOST_BYTES + MOST_TIMES * size
+    at, limit = len(MAGIC), MAX_BYTES + MAX_TIMES * size
     while at + HEAD.size <= size:
         raw.seek(at)
         kind, length = HEAD.unpack(raw.read(HEAD.size))
@@ -391,12 +389,12 @@ def _records(raw: BinaryIO, size: int) -> Iterator[tuple[int, list[tuple[int, by
         try:
             data = bounded(raw, length) if kind in (CHUNK, MESSAGE, SCHEMA, CHANNEL) else b""
             if kind == CHUNK:
-                most -= len(grown := chunk(data, most))
-                inside = list(records_in(grown))
+                limit -= len(content := chunk(data, limit))
+                inside = list(records_in(content))
             else:
                 inside = [(kind, data)]
-            inside = [(each, _sent(told) if each == MESSAGE else told) for each, told in inside]
-        except Exception:  # zstd, lz4 and struct raise nearly anything
+            inside = [(k, _uncompressed(d) if k == MESSAGE else d) for k, d in inside]
+        except Exception:  # zstd, lz4 and struct raise many kinds
             inside = None
         if kind == FOOTER:
             raw.seek(at)
@@ -406,19 +404,19 @@ def _records(raw: BinaryIO, size: int) -> Iterator[tuple[int, list[tuple[int, by
             return
 
 
-def _sent(record: bytes) -> bytes:
-    """Return the record of a message with the message as it was sent."""
+def _uncompressed(record: bytes) -> bytes:
+    """Return the record of a message with the message uncompressed."""
     _, _, data = message_in(record)
-    sent = plain(data)
-    return record if sent is data else record[: len(record) - len(data)] + sent
+    message = plain(data)
+    return record if message is data else record[: len(record) - len(data)] + message
 
 
 def _copy_sqlite3(file: Path, copy: _Copy) -> None:
-    """Copy every message of all transactions that were finished."""
+    """Copy every message of the finished transactions."""
     where = copy.writer.folder.parent
     opened = where / file.name
     try:
-        # SQLite rolls back what was not finished: in a copy, since the original stays as it is.
+        # SQLite rolls back unfinished transactions: in a copy, so that the original is not changed.
         for ending in ("", "-journal", "-wal"):
             beside = file.with_name(file.name + ending)
             if beside.exists() and beside.parent != where:
@@ -426,7 +424,7 @@ def _copy_sqlite3(file: Path, copy: _Copy) -> None:
         with contextlib.closing(sqlite3.connect(opened)) as database:
             database.execute("PRAGMA journal_mode=DELETE").fetchall()
             database.execute("SELECT count(*) FROM sqlite_master").fetchall()
-        for ending in ("-journal", "-wal"):  # what was in it is in the database now
+        for ending in ("-journal", "-wal"):  # its content is in the database now
             opened.with_name(opened.name + ending).unlink(missing_ok=True)
         with contextlib.closing(Sqlite3(opened)) as database:
             numbers = {key: copy.channel(each) for key, each in database.connections.items()}
@@ -439,5 +437,5 @@ def _copy_sqlite3(file: Path, copy: _Copy) -> None:
             copy.writer.flush()
     except BagError:
         raise
-    except Exception as error:  # zstd raises its own
-        raise BagError(f"{file} is no whole database: {error}") from error
+    except Exception as error:  # zstd raises its own kind
+        raise BagError(f"{file} is no intact database: {error}") from error

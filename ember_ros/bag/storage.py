@@ -1,9 +1,8 @@
-"""Writes the files of a bag, as the tools of Jazzy expect them: MCAP, and ``metadata.yaml``.
+"""Writes the files of a bag as the tools of Jazzy expect them: MCAP, and ``metadata.yaml``.
 
-Messages are written as the bytes they travelled as, at times that the caller gives, so that the
-same messages make the same files. ``flush`` ends a chunk: what was flushed outlives this process.
-``metadata.yaml`` is written last: a bag without it was cut off, and ``repair`` brings back what was
-flushed.
+Messages are written as serialized bytes, at times that the caller passes: the same messages make
+the same files. ``flush`` ends a chunk: flushed messages outlive this process. ``metadata.yaml`` is
+written last: a bag without it was cut off, and ``repair`` restores its flushed messages.
 """
 
 from __future__ import annotations
@@ -19,18 +18,18 @@ from typing import Any, NamedTuple, NoReturn
 
 import yaml
 
-from ember_ros.bag.guard import MOST_TEXT, check_file, load_yaml
+from ember_ros.bag.guard import MAX_TEXT, check_file, load_yaml
+from ember_ros.bounded_io import read_text
 from ember_ros.errors import PIP, BagError
-from ember_ros.given import read_text
 
 METADATA = "metadata.yaml"
 STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}
-"""What a bag that is read can be stored as, and the ending of its files; ours are the first."""
+"""The storages that can be read, and the suffixes of their files; ours is the first."""
 STORAGE = "mcap"
 LOCK_S = 5.0
-"""Wall time to wait for somebody who is just closing a bag."""
+"""Wall time to wait for another process that is just closing the bag."""
 VERSION = 9
-"""Of ``metadata.yaml``: the one of Jazzy."""
+"""Of ``metadata.yaml``, as Jazzy writes it."""
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 QOS = [
     {
@@ -45,18 +44,18 @@ QOS = [
         "avoid_ros_namespace_conventions": False,
     }
 ]
-"""``offered_qos_profiles`` of all topics: what ``topics.latest`` says, in rosbag2's words."""
+"""``offered_qos_profiles`` of all topics: ``topics.latest`` with rosbag2's names."""
 
 
 class Definition(NamedTuple):
-    """What a message type is, for readers that do not know it."""
+    """The definition of a message type, for readers that do not have the type."""
 
     text: str
-    """Of the ``.msg`` file and of all it uses."""
+    """The ``.msg`` file and all types that it uses."""
     rihs01: str
     """The type's hash (REP 2016)."""
     encoding: str = "ros2msg"
-    """What kind of text it is."""
+    """The format of the text."""
 
 
 def needs_rosbags(error: ModuleNotFoundError) -> BagError:
@@ -75,7 +74,7 @@ def definition(kind: str) -> Definition:
         raise needs_rosbags(error) from error
     store = get_typestore(Stores.ROS2_JAZZY)
     if kind not in store.fielddefs:
-        raise BagError(f"the message type {kind} is none of those that Jazzy comes with")
+        raise BagError(f"the message type {kind} is not part of Jazzy")
     return Definition(store.generate_msgdef(kind, ros_version=2)[0], store.hash_rihs01(kind))
 
 
@@ -88,13 +87,13 @@ def _yaml(content: Any) -> str:
 
 
 class _Mcap:
-    """An MCAP file: a chunk a flush, compressed, with its CRC."""
+    """Writes an MCAP file: one chunk per flush, compressed, with a CRC."""
 
     def __init__(self, path: Path) -> None:
         from mcap.writer import CompressionType, Writer
 
         self._out = path.open("xb")
-        # Chunks end where they are flushed, which the number of ticks decides, and nowhere else.
+        # Chunks end only at a flush, so that the number of ticks alone decides where.
         self._writer: Any = Writer(self._out, chunk_size=1 << 40, compression=CompressionType.ZSTD)
         self._writer.start("ros2")
         self._schemas: dict[tuple[str, Definition], int] = {}
@@ -105,9 +104,9 @@ class _Mcap:
             self._schemas[kind, of] = self._writer.register_schema(
                 kind, of.encoding, of.text.encode()
             )
-        told = {"offered_qos_profiles": _yaml(list(qos)).strip(), "topic_type_hash": of.rihs01}
+        metadata = {"offered_qos_profiles": _yaml(list(qos)).strip(), "topic_type_hash": of.rihs01}
         self._channels[channel] = self._writer.register_channel(
-            topic, "cdr", self._schemas[kind, of], told
+            topic, "cdr", self._schemas[kind, of], metadata
         )
 
     def write(self, channel: int, ns: int, data: bytes) -> None:
@@ -120,19 +119,19 @@ class _Mcap:
         return self._out.tell()
 
     def close(self) -> None:
-        # The metadata stays outside: it names files, and the same run must make the same bytes
-        # under any name.
+        # Without the bag's metadata: that has file names, and the same run must make the same
+        # bytes under any name.
         self._writer.finish()
         self._out.close()
 
     def abandon(self) -> None:
-        # What the file object still holds may not fit: let go of the descriptor all the same.
+        # The buffered rest may not fit on the disk: close the descriptor all the same.
         with contextlib.suppress(OSError):
             self._out.close()
 
 
 class _Span:
-    """How much is in a file."""
+    """Count and times of the messages in a file."""
 
     __slots__ = ("count", "first", "last", "name")
 
@@ -141,8 +140,8 @@ class _Span:
         self.first, self.last = 1 << 63, 0
 
 
-def _told(spans: list[_Span]) -> dict[str, Any]:
-    """Return what metadata says of files together."""
+def _extent(spans: list[_Span]) -> dict[str, Any]:
+    """Return the extent of some files together, with the keys of ``metadata.yaml``."""
     spans = [span for span in spans if span.count]
     first = min((span.first for span in spans), default=0)
     last = max((span.last for span in spans), default=0)
@@ -154,26 +153,26 @@ def _told(spans: list[_Span]) -> dict[str, Any]:
 
 
 class BagOptions(NamedTuple):
-    """Where a bag goes, and how."""
+    """Where a bag is written, and when a new file begins."""
 
     folder: Path
     split_mb: float = 0.0
     """Megabytes after which a new file begins; 0 never."""
     split_s: float = 0.0
-    """Seconds of the bag's own time after which a new file begins; 0 never."""
+    """Seconds of the bag's time after which a new file begins; 0 never."""
 
 
 def make_folder(folder: Path) -> None:
     """Make the folder of a new bag.
 
     Raises:
-        BagError: it is there already, or cannot be made.
+        BagError: it exists already, or cannot be made.
     """
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
         raise BagError(
-            f"{folder} is there already, and a bag is never written over; give another name, or "
+            f"{folder} is there already, and a bag is never overwritten; give another name, or "
             "remove it"
         ) from None
     except OSError as error:
@@ -181,54 +180,54 @@ def make_folder(folder: Path) -> None:
 
 
 def lock(folder: Path) -> int:
-    """Take the lock of a bag that is written, and return the descriptor that holds it.
+    """Lock a bag for writing, and return the descriptor that holds the lock.
 
     Raises:
-        BagError: somebody is writing this bag.
+        BagError: another process is writing this bag.
     """
-    held = os.open(folder, os.O_RDONLY)
+    descriptor = os.open(folder, os.O_RDONLY)
     deadline = time.monotonic() + LOCK_S
     while True:
         try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             if time.monotonic() < deadline:
-                time.sleep(LOCK_S / 100)  # who recorded was just killed, and its scribe closes it
+                time.sleep(
+                    LOCK_S / 100
+                )  # its recorder was killed, and its writer process closes it
                 continue
-            os.close(held)
-            raise BagError(
-                f"{folder} is being written at this moment; stop the recording first"
-            ) from None
-        return held
+            os.close(descriptor)
+            raise BagError(f"{folder} is being written now; stop the recording first") from None
+        return descriptor
 
 
 def size_of(folder: Path) -> int:
     """Return how many bytes are in the files of a bag."""
     size = 0
     for file in folder.iterdir():
-        with contextlib.suppress(FileNotFoundError):  # a draft of the metadata comes and goes
+        with contextlib.suppress(FileNotFoundError):  # the draft of the metadata is renamed
             size += file.stat().st_size
     return size
 
 
-class BagWriter:
-    """Writes a bag: messages in, files out."""
+class McapWriter:
+    """Writes messages into the files of a bag."""
 
     def __init__(self, options: BagOptions, *, made: bool = False) -> None:
-        """Make the folder, which must not be there yet, and the first file in it.
+        """Make the folder, which must not exist yet, and the first file in it.
 
         Args:
-            options: where and how.
-            made: whether the folder was made for it already.
+            options: of the bag.
+            made: whether the caller has made the folder already.
 
         Raises:
-            BagError: the folder is there already or cannot be made, or a library is missing.
+            BagError: the folder exists already or cannot be made, or a library is missing.
         """
         folder, split_mb, split_s = options
         self.folder = folder
         self._split_bytes, self._split_ns = split_mb * 1e6, split_s * 1e9
         self._channels: dict[tuple[str, str], int] = {}
-        self._told: list[tuple[Definition, Sequence[Any]]] = []
+        self._definitions: list[tuple[Definition, Sequence[Any]]] = []  # with QoS, by channel
         self._counts: list[int] = []
         self._spans: list[_Span] = []
         self._file: _Mcap | None = None
@@ -239,22 +238,22 @@ class BagWriter:
         self._open_file()
 
     @contextlib.contextmanager
-    def _doing(self) -> Iterator[None]:
-        """Turn what a disk does to us into a BagError, and let go of the files."""
+    def _wrap_errors(self) -> Iterator[None]:
+        """Raise a BagError for an error of the disk, and close the files."""
         try:
             yield
         except ModuleNotFoundError as error:
             self.abandon()
             raise needs_rosbags(error) from error
         except OSError as error:
-            self._give_up(error)
+            self._fail(error)
 
     def _open_file(self) -> None:
         name = f"{self.folder.resolve().name}_{len(self._spans)}{STORAGES[STORAGE]}"
-        with self._doing():
+        with self._wrap_errors():
             self._file = _Mcap(self.folder / name)
             for (topic, kind), channel in self._channels.items():
-                self._file.add(channel, topic, kind, *self._told[channel])
+                self._file.add(channel, topic, kind, *self._definitions[channel])
         self._spans.append(_Span(name))
 
     def channel(
@@ -264,30 +263,30 @@ class BagWriter:
         of: Definition | None = None,
         qos: Sequence[Any] = QOS,
     ) -> int:
-        """Return the number under which messages of a topic are written.
+        """Return the channel of a topic.
 
         Args:
             topic: its absolute name.
             kind: its type, as ``std_msgs/msg/String``.
-            of: what the type is; that of Jazzy for None.
-            qos: ``offered_qos_profiles``, in rosbag2's words.
+            of: the type's definition; that of Jazzy for None.
+            qos: ``offered_qos_profiles``, with rosbag2's names.
 
         Raises:
-            BagError: the disk is full, or the like; the bag is closed as it is.
+            BagError: the bag cannot be written, for example because the disk is full; it is closed.
         """
         channel = self._channels.get((topic, kind))
         if channel is None:
-            of = of or definition(kind)  # an unknown type is refused before anything is noted
+            of = of or definition(kind)  # raises for an unknown type before any change
             file = self._opened()
             channel = self._channels[topic, kind] = len(self._counts)
             self._counts.append(0)
-            self._told.append((of, qos))
-            with self._doing():
+            self._definitions.append((of, qos))
+            with self._wrap_errors():
                 file.add(channel, topic, kind, of, qos)
         return channel
 
     def _opened(self) -> _Mcap:
-        if self._full:  # only now: no file is begun for nothing
+        if self._full:  # only now: no file stays empty
             self.begin_file()
         if self._file is None:
             raise BagError(f"the bag {self.folder} is closed")
@@ -302,12 +301,12 @@ class BagWriter:
             data: the serialized message.
 
         Raises:
-            BagError: the disk is full, or the like; the bag is closed as it is.
+            BagError: the bag cannot be written, for example because the disk is full; it is closed.
         """
         try:
             self._opened().write(channel, ns, data)
         except OSError as error:
-            self._give_up(error)
+            self._fail(error)
         self._counts[channel] += 1
         span = self._spans[-1]
         span.count += 1
@@ -317,50 +316,50 @@ class BagWriter:
             span.first = ns
 
     def flush(self) -> None:
-        """Bring everything to the disk as one whole, and begin a new file if it is time.
+        """Write all messages to the disk as one chunk; begin a new file if this one is full.
 
         Raises:
-            BagError: the disk is full, or the like; the bag is closed as it is.
+            BagError: the bag cannot be written, for example because the disk is full; it is closed.
         """
         if self._file is None:
             return
-        with self._doing():
+        with self._wrap_errors():
             self._file.flush()
             span = self._spans[-1]
             full = 0 < self._split_bytes <= self._file.size()
         self._full = span.count > 0 and (full or 0 < self._split_ns <= span.last - span.first)
 
     def begin_file(self) -> None:
-        """End the present file well, and begin another.
+        """Close the current file, and begin another.
 
         Raises:
-            BagError: the disk is full, or the like; the bag is closed as it is.
+            BagError: the bag cannot be written, for example because the disk is full; it is closed.
         """
         self._full = False
         if self._file is not None:
-            with self._doing():
+            with self._wrap_errors():
                 self._file.close()
             self._open_file()
 
     @property
     def messages(self) -> int:
-        """Return how many messages were written."""
+        """Return the number of messages written."""
         return sum(self._counts)
 
     def _metadata(self, custom: Mapping[str, str]) -> dict[str, Any]:
-        """Return what ``metadata.yaml`` says below its one key."""
+        """Return the content of ``metadata.yaml`` below its only key."""
         return {
             "version": VERSION,
             "storage_identifier": STORAGE,
-            **_told(self._spans),
+            **_extent(self._spans),
             "topics_with_message_count": [
                 {
                     "topic_metadata": {
                         "name": topic,
                         "type": kind,
                         "serialization_format": "cdr",
-                        "offered_qos_profiles": list(self._told[channel][1]),
-                        "type_description_hash": self._told[channel][0].rihs01,
+                        "offered_qos_profiles": list(self._definitions[channel][1]),
+                        "type_description_hash": self._definitions[channel][0].rihs01,
                     },
                     "message_count": self._counts[channel],
                 }
@@ -369,24 +368,24 @@ class BagWriter:
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": [span.name for span in self._spans],
-            "files": [{"path": span.name, **_told([span])} for span in self._spans],
+            "files": [{"path": span.name, **_extent([span])} for span in self._spans],
             "custom_data": dict(custom) or None,
             "ros_distro": "jazzy",
         }
 
     def close(self, custom: Mapping[str, str] | None = None) -> None:
-        """End the bag well; closing twice is once.
+        """Close the bag; safe to call twice.
 
         Args:
-            custom: what ``metadata.yaml`` says under ``custom_data``.
+            custom: ``custom_data`` of ``metadata.yaml``.
 
         Raises:
-            BagError: the disk is full, or the like.
+            BagError: the bag cannot be written, for example because the disk is full.
         """
         if self._file is None:
             return
         metadata = self._metadata(custom or {})
-        with self._doing():
+        with self._wrap_errors():
             self._file.close()
             self._file, self._full = None, False
             write_metadata(self.folder, metadata)
@@ -398,19 +397,19 @@ class BagWriter:
             self._lock = -1
 
     def abandon(self) -> None:
-        """Let go of the files as they are: the bag is cut off."""
+        """Close the files as they are: the bag is cut off."""
         file, self._file = self._file, None
         self._full = False
         if file is not None:
             file.abandon()
         self._unlock()
 
-    def _give_up(self, error: Exception) -> NoReturn:
+    def _fail(self, error: Exception) -> NoReturn:
         self.abandon()
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise BagError(
             f"cannot write the bag {self.folder}: {why}; it is cut off here, and `ember bag repair "
-            f"{self.folder}` brings back what is in it"
+            f"{self.folder}` restores what is in it"
         ) from error
 
 
@@ -418,17 +417,17 @@ INFORMATION = "rosbag2_bagfile_information"
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:
-    """Return what ``metadata.yaml`` says below its one key.
+    """Return the content of ``metadata.yaml`` below its only key.
 
     Raises:
-        BagError: it is missing, or is none.
+        BagError: it is missing, or has other content.
     """
     file = folder / METADATA
     try:
         if file.exists() and not file.is_file():
             raise BagError(f"cannot read {file}: it is no regular file")
         check_file(file, folder)
-        content = load_yaml(read_text(file, MOST_TEXT))[INFORMATION]
+        content = load_yaml(read_text(file, MAX_TEXT))[INFORMATION]
         if not isinstance(content, dict):
             raise TypeError(f"{INFORMATION} is a {type(content).__name__}")
     except OSError as error:
@@ -437,13 +436,13 @@ def read_metadata(folder: Path) -> dict[str, Any]:
         why = " ".join(str(error).split())
         raise BagError(
             f"{file} is no metadata of a bag ({why}); move it away, and `ember bag repair "
-            f"{folder}` makes it anew"
+            f"{folder}` writes a new one"
         ) from error
     return content
 
 
 def write_metadata(folder: Path, content: Mapping[str, Any]) -> None:
-    """Write ``metadata.yaml``, whole or not at all."""
+    """Write ``metadata.yaml``, completely or not at all."""
     draft = folder / f".{METADATA}"
     try:
         draft.write_text(_yaml({INFORMATION: dict(content)}), encoding="utf-8")
@@ -453,7 +452,7 @@ def write_metadata(folder: Path, content: Mapping[str, Any]) -> None:
 
 
 def seal(folder: Path, **facts: str) -> None:
-    """Add to ``custom_data`` what was known only after the bag was closed.
+    """Add entries to ``custom_data`` of a closed bag.
 
     Raises:
         BagError: it is no closed bag, or cannot be written.

@@ -13,10 +13,11 @@ import numpy as np
 from ember_ros.loop import Loop
 from ember_ros.observer import Observer
 from ember_ros.params import Params
-from ember_ros.plan import Plan
 from ember_ros.randomness import WORLD, generator
-from ember_ros.signals import LegSense, Phase
-from leg_node.module import LegModule
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import LegSense
+from leg_node.assembly import make_leg, numbers_of
+from leg_node.gait import GaitStep
 from leg_node.policy import epsilon_at
 from leg_node.table import Table
 
@@ -24,33 +25,33 @@ DRAWER = WORLD + 1
 """Spawn key of the central learner's random numbers."""
 
 
-class _Told:
-    """A policy that does as it is told."""
+class _Given:
+    """A policy whose action is given from outside."""
 
     action = 0
 
-    def choose(self, sense: LegSense, phase: Phase, state: int) -> int:
-        """Return what was told."""
+    def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
+        """Return the action that was given."""
         return self.action
 
 
 class CentralLoop(Loop):
     """The loop, with one learner that tells all legs what to do."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, config: RunConfig) -> None:
         """Build the robot of a plan; its table is not used."""
-        super().__init__(plan)
-        params: Params = plan.params
-        numbers = params.walk if plan.stage == "walk" else params.train
+        super().__init__(config)
+        params: Params = config.params
+        numbers = numbers_of(params, config.stage)
         self._numbers, self._ticks = numbers, params.gait.ticks
         self._speeds = len(params.leg.knee_speeds)
-        self._rng = generator(plan.seed, DRAWER)
-        count = len(plan.legs)
+        self._rng = generator(config.seed, DRAWER)
+        count = len(config.legs)
         self.joint = Table(self._ticks * 2**count, self._speeds**count)
-        self._told = [_Told() for _ in plan.legs]
+        self._given = [_Given() for _ in config.legs]
         self.legs = [
-            LegModule(params, leg, stage=plan.stage, policy=told, learning=False)
-            for leg, told in zip(plan.legs, self._told, strict=True)
+            make_leg(params, leg, stage=config.stage, policy=given, learning=False)
+            for leg, given in zip(config.legs, self._given, strict=True)
         ]
         self._before: tuple[int, int] | None = None
 
@@ -90,6 +91,6 @@ class CentralLoop(Loop):
         self._learn(senses, state)
         joint = self._choose(state)
         self._before = state, joint
-        for told in self._told:
-            joint, told.action = divmod(joint, self._speeds)
+        for given in self._given:
+            joint, given.action = divmod(joint, self._speeds)
         super().tick(*observers)

@@ -14,16 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from ember_ros.experiments.lab import each_seed, go_on, run_all
-from ember_ros.experiments.study import Size, age, numbers, trained
+from ember_ros.experiments.study import Size, age, numbers, trained, write_page
 from ember_ros.experiments.trial import TABLE, code_sha256
 from ember_ros.experiments.words import Found, grid
 from ember_ros.loop import Loop
 from ember_ros.params import Params
-from ember_ros.plan import Plan
 from ember_ros.report.figures import AMBER, BLUE, INK, canvas, save
-from ember_ros.report.recorder import Recorder
+from ember_ros.report.run_statistics import RunStatistics
+from ember_ros.run_config import RunConfig
 from ember_ros.versions import versions
 
+NAME = "isotropy"
 AXES = ("world", "robot")
 """Whose axes friction has: the world's, as in Bullet, or the robot's, as here."""
 WALKERS = ("scripted", "trained")
@@ -52,18 +53,12 @@ def slide(params: Params, heading: float, axes: str) -> tuple[float, float]:
     Returns:
         How far it went, m, and how far it came off its heading, rad.
     """
-    from sim_node.bullet import Ground, bullet
+    from sim_node.bullet import Ground, bullet, set_contact, set_up
 
     physics, foot = params.physics, params.leg.foot_radius
     client = bullet.connect(bullet.DIRECT)
     try:
-        bullet.setGravity(0, 0, -physics.gravity, client)
-        bullet.setPhysicsEngineParameter(
-            fixedTimeStep=params.gait.tick_s / physics.substeps,
-            numSolverIterations=physics.iterations,
-            deterministicOverlappingPairs=1,
-            physicsClientId=client,
-        )
+        set_up(client, params)
         ground = Ground(client)
         ground.turn(heading if axes == "robot" else 0.0)
         arm = params.walker.hip_half_width
@@ -77,17 +72,7 @@ def slide(params: Params, heading: float, axes: str) -> tuple[float, float]:
         body = bullet.createMultiBody(
             params.walker.mass, feet, -1, (0.0, 0.0, foot), turned, physicsClientId=client
         )
-        bullet.changeDynamics(
-            body,
-            -1,
-            lateralFriction=physics.friction,
-            restitution=0.0,
-            linearDamping=0.0,
-            angularDamping=0.0,
-            contactStiffness=physics.contact_stiffness,
-            contactDamping=physics.contact_damping,
-            physicsClientId=client,
-        )
+        set_contact(client, body, -1, physics)
         second = round(physics.substeps / params.gait.tick_s)
         for _ in range(second):  # it sinks in
             bullet.stepSimulation(client)
@@ -127,7 +112,7 @@ def walk(
         def _heading(self) -> float:
             return 0.0
 
-    plan = Plan(
+    config = RunConfig(
         "walker",
         cycles,
         params=params,
@@ -136,9 +121,9 @@ def walk(
         table=table,
     )
     world = {"world": WorldAxes, "robot": WalkerWorld}[axes](params, heading=heading)
-    loop = Loop(plan, world)
+    loop = Loop(config, world)
     try:
-        recorder = Recorder(params, plan.legs)
+        recorder = RunStatistics(params, config.legs)
         for _ in range(cycles):
             if not go_on():
                 break
@@ -251,7 +236,7 @@ def page(found: Found) -> str:
     lines = [
         "# The same in every direction",
         "",
-        *age(found, "isotropy"),
+        *age(found, NAME),
         f"Made by `{about['command']}`; every number below is written by it (`isotropy.json` holds "
         f"them all). Versions: {known}.",
         "",
@@ -324,3 +309,10 @@ def draw(found: Found, file: Path) -> None:
     axes[0, 0].set_ylim(0.0, 1.1 * max(max(slides[whose]["way_m"]) for whose in AXES))
     axes[0, 0].legend(frameon=False, loc="center")
     save(figure, file)
+
+
+def write(found: Found, folder: Path) -> list[str]:
+    """Write the page, the numbers and the figure, and return the names of the files."""
+    draw(found, folder / f"{NAME}.png")
+    write_page(NAME, found, page(found), folder)
+    return [f"{NAME}.md", f"{NAME}.json", f"{NAME}.png"]

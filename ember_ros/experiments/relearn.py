@@ -13,18 +13,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ember_ros.bag.relearn import relearn
 from ember_ros.bag.storage import BagOptions
 from ember_ros.experiments.lab import each_seed, go_on
-from ember_ros.experiments.study import OTHER_SEED, age, numbers
+from ember_ros.experiments.study import OTHER_SEED, age, numbers, write_page
 from ember_ros.experiments.trial import LOW_M, TILT_RAD, code_sha256
 from ember_ros.experiments.words import Found
+from ember_ros.offline.relearn import relearn
 from ember_ros.params import replace
-from ember_ros.plan import Plan
 from ember_ros.run import run
+from ember_ros.run_config import RunConfig
 from ember_ros.versions import versions
 from leg_node.table_file import save_table
 
+NAME = "relearn"
 CYCLES = 1000
 RECORDED = ("random", "scripted")
 SMOOTH = {"walk.smooth": 0.3, "walk.prior": 5.0}
@@ -36,10 +37,10 @@ def one_seed(seed: int, *, cycles: int, walk_cycles: int, out: Path) -> dict[str
     folder, params = out / f"seed{seed}", numbers("plain")
     shutil.rmtree(folder, ignore_errors=True)  # a bag is never written over
 
-    def go(plan: Plan, name: str, bag: Path | None = None) -> dict[str, Any]:
+    def go(config: RunConfig, name: str, bag: Path | None = None) -> dict[str, Any]:
         into = BagOptions(bag) if bag else None
         record, summary = run(
-            plan, "loop", folder / name, lambda cycles, falls: go_on(), "relearn", into
+            config, "loop", folder / name, lambda cycles, falls: go_on(), "relearn", into
         )
         keys = ("falls", "distance_per_cycle_m", "roll_sd_rad", "pitch_sd_rad")
         rows = record.body_rows()
@@ -47,7 +48,7 @@ def one_seed(seed: int, *, cycles: int, walk_cycles: int, out: Path) -> dict[str
         return {key: summary[key] for key in keys} | {"outside": bad / len(rows)}
 
     def walk(name: str, table: Path | None, changes: dict[str, float]) -> dict[str, Any]:
-        plan = Plan(
+        config = RunConfig(
             "walker",
             walk_cycles,
             seed=seed + OTHER_SEED,
@@ -55,13 +56,15 @@ def one_seed(seed: int, *, cycles: int, walk_cycles: int, out: Path) -> dict[str
             learning=False,
             table=table,
         )
-        return go(plan, name)
+        return go(config, name)
 
     found: dict[str, Any] = {"seed": seed}
     for policy in RECORDED:
         bag, table = folder / f"{policy}_bag", folder / f"{policy}_relearnt.npz"
-        plan = Plan("walker", cycles, seed=seed, params=params, policy=policy, learning=False)
-        found[f"{policy} knee, recorded"] = go(plan, policy, bag)
+        config = RunConfig(
+            "walker", cycles, seed=seed, params=params, policy=policy, learning=False
+        )
+        found[f"{policy} knee, recorded"] = go(config, policy, bag)
         learnt = relearn([bag])
         save_table(table, learnt.table, params, seed)
         found[f"{policy}_updates"] = learnt.updates
@@ -113,7 +116,7 @@ def page(result: Found) -> str:
     lines = [
         "# Learnt again from bags",
         "",
-        *age(result, "relearn"),
+        *age(result, NAME),
         f"Made by `{about['command']}`; every number below is written by it "
         f"(`relearn.json` holds them all). Versions: {known}.",
         "",
@@ -165,3 +168,9 @@ def page(result: Found) -> str:
         "smoothed, an untried action counts a little less than its state as a whole.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def write(found: Found, folder: Path) -> list[str]:
+    """Write the page and the numbers, and return the names of the files."""
+    write_page(NAME, found, page(found), folder)
+    return [f"{NAME}.md", f"{NAME}.json"]

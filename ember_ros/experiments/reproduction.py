@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ember_ros.errors import ParameterError
-from ember_ros.experiments import words
+from ember_ros.experiments import lab, words
 from ember_ros.experiments.studies import (
     baselines,
     direct,
     fig5,
     frontier,
+    hexapod,
     learners,
     regime,
+    seam,
     senses,
     sensitivity,
     sharing,
@@ -23,11 +26,14 @@ from ember_ros.experiments.study import (
     BODIES,
     OLDER,
     OTHER_SEED,
+    Size,
     Study,
     belongs,
+    collect,
     cpu_seconds,
     numbers,
     section,
+    write,
 )
 from ember_ros.experiments.words import Found
 
@@ -47,6 +53,8 @@ STUDIES: dict[str, Study] = {
         frontier,
         senses,
         sensitivity,
+        hexapod,
+        seam,
     )
 }
 
@@ -65,6 +73,46 @@ def read(name: str, folder: Path) -> Found:
             f"there is no result {file}; `ember experiment {name}` makes it"
         ) from error
     return found
+
+
+def run(
+    studies: Sequence[Study],
+    size: Size,
+    trials: Path,
+    say: Callable[[int, int], bool],
+    command: str,
+) -> list[Found] | None:
+    """Run what was not run before, and return what came of each experiment.
+
+    Args:
+        studies: the experiments.
+        size: of all of them.
+        trials: folder of all trials.
+        say: told how much is done of how much; returns whether to go on.
+        command: what was typed.
+
+    Returns:
+        None where it was stopped.
+    """
+    needed = [trial for study in studies for arm in study.arms(size) for trial in arm.trials]
+    if not lab.run_all(needed, trials, say):
+        return None
+    return [collect(study, size, command, trials) for study in studies]
+
+
+def write_all(studies: Sequence[Study], found: Sequence[Found], out: Path) -> list[str]:
+    """Write the files of experiments into ``RESULTS``, and of all of them the document too.
+
+    Returns:
+        The names of the pages, seen from ``RESULTS``.
+    """
+    for study, each in zip(studies, found, strict=True):
+        write(study, each, out / RESULTS)
+    made = [f"{study.name}.md" for study in studies]
+    if len(studies) == len(STUDIES):
+        (out / DOCUMENT).write_text(document(out / RESULTS), encoding="utf-8")
+        made.append(f"../{DOCUMENT}")
+    return made
 
 
 def document(folder: Path) -> str:

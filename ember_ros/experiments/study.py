@@ -250,6 +250,14 @@ def write(study: Study, found: Found, folder: Path) -> None:
     file.with_suffix(".md").write_text(page_of(study, found), encoding="utf-8")
 
 
+def write_page(name: str, found: Found, page: str, folder: Path) -> None:
+    """Write ``NAME.json`` and ``NAME.md`` of an experiment that is not made of arms of trials."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(found, indent=1) + "\n"
+    (folder / f"{name}.json").write_text(text, encoding="utf-8")
+    (folder / f"{name}.md").write_text(page, encoding="utf-8")
+
+
 def page_of(study: Study, found: Found) -> str:
     """Return an experiment's page of its own."""
     return "\n".join(section(study, found, "#")) + "\n"

@@ -27,12 +27,12 @@ from numpy.typing import NDArray
 from ember_ros.experiments.central import CentralLoop
 from ember_ros.loop import Loop
 from ember_ros.params import Params, params_sha256
-from ember_ros.plan import Plan
-from ember_ros.report.recorder import TRACE, Recorder, Row
-from ember_ros.signals import BodyState, LegCommand, LegSense, Phase, Transition
+from ember_ros.report.run_statistics import TRACE, Row, RunStatistics
+from ember_ros.run_config import RunConfig
+from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from ember_ros.versions import versions
-from leg_node.gait import LegGait
-from leg_node.state import Partition
+from leg_node.assembly import make_discretizer
+from leg_node.discretizer import states_of
 from leg_node.table import Ints, Table
 from leg_node.table_file import load_table, save_table
 
@@ -51,24 +51,39 @@ CENTRAL = "central"
 TABLE, MEASURES, CYCLES = "table.npz", "trial.json", "cycles.npz"
 COLUMNS = tuple(name for name in Row._fields if name not in ("cycle", "module"))
 DECIDES = (
-    *("ember_ros", "ember_ros.kinematics", "ember_ros.loop", "ember_ros.params"),
-    *("ember_ros.plan", "ember_ros.randomness", "ember_ros.signals"),
-    *("ember_ros.experiments.central", "ember_ros.experiments.trial", "ember_ros.report.recorder"),
-    *("cpg_node.cpg", "leg_node.gait", "leg_node.module", "leg_node.policy", "leg_node.reading"),
-    *("leg_node.reward", "leg_node.shared", "leg_node.state", "leg_node.table"),
-    *("sim_node.bodies", "sim_node.bullet", "sim_node.trainer", "sim_node.walker"),
+    *("ember_ros.kinematics", "ember_ros.loop", "ember_ros.params"),
+    *("ember_ros.parts", "ember_ros.phase", "ember_ros.run_config", "ember_ros.randomness"),
+    *("ember_ros.signals", "ember_ros.worlds"),
+    *(
+        "ember_ros.experiments.central",
+        "ember_ros.experiments.trial",
+        "ember_ros.report.run_statistics",
+    ),
+    *("cpg_node.cpg", "leg_node.assembly", "leg_node.discretizer", "leg_node.gait"),
+    *("leg_node.learner", "leg_node.module", "leg_node.policy", "leg_node.reward"),
+    *("leg_node.shared", "leg_node.table", "leg_node.task", "leg_node.value"),
+    *(
+        "sim_node.bodies",
+        "sim_node.bullet",
+        "sim_node.sensors",
+        "sim_node.trainer",
+        "sim_node.walker",
+    ),
 )
 """The modules that decide what comes of a trial."""
 
 
 @functools.cache
-def code_sha256() -> str:
+def code_sha256(*more: str) -> str:
     """Return the SHA-256 of the code that decides: of what it does, not of how it is written.
 
     Comments, docstrings and line ends do not count.
+
+    Args:
+        *more: modules that decide beside those that always do.
     """
     digest = hashlib.sha256()
-    for name in DECIDES:
+    for name in (*DECIDES, *more):
         spec = importlib.util.find_spec(name)
         assert spec is not None
         assert spec.origin is not None
@@ -118,10 +133,19 @@ class Trial:
             self.policy,
             self.learning,
             self.start.named(known) if self.start else None,
-            code_sha256(),
+            code_sha256(*self._own_modules()),
             dict(known),
         ]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
+
+    def _own_modules(self) -> list[str]:
+        """Return the modules of parts that are named by a path and do not always decide.
+
+        What these import in turn is not among them.
+        """
+        paths = [*vars(self.params.parts).values(), self.world, self.policy]
+        named = {path.rpartition(".")[0] for path in paths if "." in path}
+        return sorted(named - set(DECIDES))
 
 
 @dataclass(frozen=True)
@@ -158,30 +182,33 @@ class _Watch:
     """Hears every tick of a trial: in which states the legs were, and when their feet were down."""
 
     def __init__(self, trial: Trial, legs: Sequence[str], start: Table | None) -> None:
-        self._partition = Partition(trial.params)
-        self._gaits = [LegGait(trial.params.gait, leg) for leg in legs]
-        self.visits: Ints = np.zeros(self._partition.size, dtype=np.int64)
+        params = trial.params
+        self.visits: Ints = np.zeros(states_of(make_discretizer(params)), dtype=np.int64)
         """How often any leg was in each state."""
-        self._down: list[int] = [0] * trial.params.gait.ticks
+        self._ticks = params.gait.ticks
+        named = dict(zip(params.robot.legs, params.robot.offset, strict=True))
+        self._offsets = [named.get(leg, 0.0) for leg in legs]
+        self._down: list[int] = [0] * self._ticks
         self._known = None if start is None else visits_of_states(start) > 0
 
     def tick(
         self,
-        phase: Phase,
+        beat: Beat,
         senses: Sequence[LegSense],
         commands: Sequence[LegCommand | None],
         body: BodyState,
         transitions: Sequence[Transition | None],
     ) -> None:
-        index, visits, down = self._partition.index, self.visits, self._down
-        for sense, gait in zip(senses, self._gaits, strict=True):
-            visits[index(sense, gait.stance(phase))] += 1
+        visits, down, ticks = self.visits, self._down, self._ticks
+        for sense, offset, did in zip(senses, self._offsets, transitions, strict=True):
+            assert did is not None  # the loop's legs always say
+            visits[did.next_state] += 1
             if sense.force_mean > 0.0:  # in the tick that just ended
-                down[gait.slot(phase, -1)] += 1
+                down[int((beat.phase + offset) * ticks - 1) % ticks] += 1
 
     def footfall(self, cycles: int) -> NDArray[np.float64]:
         """Return the share of cycles with the foot on the ground, for each tick of a cycle."""
-        return np.array(self._down) / (len(self._gaits) * cycles)
+        return np.array(self._down) / (len(self._offsets) * cycles)
 
     def unseen(self) -> float | None:
         """Return the share of decisions in states that the start's legs never were in."""
@@ -208,7 +235,7 @@ def run_trial(trial: Trial, folder: Path, go_on: Callable[[], bool] = lambda: Tr
         Whether it came to its end; if not, nothing is kept.
     """
     began = time.process_time()
-    plan = Plan(
+    config = RunConfig(
         trial.world,
         trial.cycles,
         seed=trial.seed,
@@ -217,22 +244,22 @@ def run_trial(trial: Trial, folder: Path, go_on: Callable[[], bool] = lambda: Tr
         learning=trial.learning,
         table=folder / trial.start.key / TABLE if trial.start else None,
     )
-    loop = CentralLoop(plan) if trial.policy == CENTRAL else Loop(plan)
+    loop = CentralLoop(config) if trial.policy == CENTRAL else Loop(config)
     try:
-        start = load_table(plan.table, plan.params)[0] if plan.table else None
-        recorder = Recorder(plan.params, plan.legs)
-        watch = _Watch(trial, plan.legs, start)
+        start = load_table(config.table, config.params)[0] if config.table else None
+        recorder = RunStatistics(config.params, config.legs)
+        watch = _Watch(trial, config.legs, start)
         for _ in range(trial.cycles):
             if not go_on():
                 return False
-            for _ in range(plan.params.gait.ticks):
+            for _ in range(config.params.gait.ticks):
                 loop.tick(recorder, watch)
         recorder.finish(loop.world.observe(), loop.world.body())
         differ = _differ([leg.copy.table for leg in loop.legs])
         table = loop.finish()
         summary = recorder.summary()
         measures = {
-            **_measures(plan.params, recorder, loop.world.work),
+            **_measures(config.params, recorder, loop.world.work),
             "legs_differ": differ,
             "unseen_share": watch.unseen(),
             "states_visited": int((watch.visits > 0).sum()),
@@ -251,7 +278,7 @@ def _keep(
     trial: Trial,
     folder: Path,
     measures: dict[str, Any],
-    recorder: Recorder,
+    recorder: RunStatistics,
     watch: _Watch,
     table: Table,
 ) -> None:
@@ -277,7 +304,7 @@ def _keep(
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def _measures(params: Params, recorder: Recorder, work: float) -> dict[str, Any]:
+def _measures(params: Params, recorder: RunStatistics, work: float) -> dict[str, Any]:
     """Return what is told of a run."""
     rows = recorder.body_rows()
     traces = np.frombuffer(recorder.traces).reshape(-1, len(TRACE))
@@ -300,7 +327,7 @@ def _measures(params: Params, recorder: Recorder, work: float) -> dict[str, Any]
         "reward": sum(r.reward for r in rows) / len(rows),
         "reward_last": sum(r.reward for r in late) / len(late),
         "peak_force_n": sum(r.peak_force_n for r in late) / len(late),
-        "contact_share": sum(r.contact_share for r in late) / len(late),
+        "contact_share": sum(r.contact_share or 0.0 for r in late) / len(late),
         "duty_factor": sum(r.duty_factor for r in late) / len(late),
         "slip_m": sum(r.slip_m for r in late) / len(late),
         "turn_rad": sum(abs(r.turn_rad or 0.0) for r in late) / len(late),

@@ -1,8 +1,8 @@
-"""Starts the trainer: one leg alone, which fills the table that four legs walk with later.
+"""Starts the trainer: one leg learns alone and fills the table that four legs walk with later.
 
     ros2 launch ember_ros train.launch.py cycles:=3000 save:=trained.npz
 
-The graph and its arguments are those of walk.launch.py, with the trainer as its world.
+The graph and the arguments are those of walk.launch.py, with the trainer as the world.
 """
 
 from pathlib import Path
@@ -19,8 +19,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "world", default_value="trainer", choices=["trainer"], description="the trainer"
             ),
-            # A path as text: of a file that is found only when it is launched, --show-args would
-            # list no arguments.
+            # A path as plain text: for a substitution, --show-args would list no arguments.
             IncludeLaunchDescription(
                 PythonLaunchDescriptionSource(str(Path(__file__).with_name("walk.launch.py")))
             ),

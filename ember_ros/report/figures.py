@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ember_ros.report.recorder import Record, Row
+from ember_ros.report.run_statistics import Row, RunRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,14 +23,11 @@ SMOOTH = 50
 
 def canvas(rows: int, columns: int = 1, width: float = 9.0, height: float = 3.0) -> Any:
     """Return a figure ``width`` inches wide and its axes, ``(rows, columns)``."""
-    import matplotlib
+    from ember_ros.report.picture import Picture
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(
-        rows, columns, figsize=(width, height * rows), squeeze=False, layout="constrained"
-    )
+    # Not by pyplot, which would keep the figure and choose how a notebook draws its own.
+    figure = Picture(figsize=(width, height * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
     for axis in axes.flat:
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(color="#e6e8ea", linewidth=0.8)
@@ -39,13 +36,10 @@ def canvas(rows: int, columns: int = 1, width: float = 9.0, height: float = 3.0)
 
 
 def save(figure: Figure, file: Path) -> None:
-    """Write a figure, PNG or SVG, and let go of it."""
-    from matplotlib import pyplot
-
+    """Write a figure, PNG or SVG."""
     file.parent.mkdir(parents=True, exist_ok=True)
     # Without the version of matplotlib in it, equal figures are equal files.
     figure.savefig(file, dpi=130, metadata={"Software": None} if file.suffix == ".png" else None)
-    pyplot.close(figure)
 
 
 def _moving_mean(values: Sequence[float], window: int) -> tuple[Any, Any]:
@@ -69,7 +63,7 @@ def training(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
     axes[1].set_xlabel(f"steps (line: mean of {SMOOTH})")
 
 
-def walking(axes: Sequence[Axes], record: Record, ticks: int) -> None:
+def walking(axes: Sequence[Axes], record: RunRecord, ticks: int) -> None:
     """Draw the body's path, and its roll and pitch while it walks (paper, figure 7)."""
     traces = record.traces
     falls = record.measured["falls"]
@@ -96,34 +90,40 @@ def walking(axes: Sequence[Axes], record: Record, ticks: int) -> None:
     axes[1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False, ncols=2)
 
 
-def draw(
-    file: Path,
-    *,
-    trained: Record | None = None,
-    walked: Record | None = None,
-    ticks: int = 32,
-) -> bool:
-    """Write a picture of what was trained, of what was walked, or of both.
+def picture(
+    *, trained: RunRecord | None = None, walked: RunRecord | None = None, ticks: int = 32
+) -> Figure | None:
+    """Return a picture of what was trained, of what was walked, or of both; None of nothing.
 
     Args:
-        file: PNG or SVG.
         trained: record of a leg on the trainer.
         walked: record of a walker.
         ticks: of a cycle.
-
-    Returns:
-        Whether there was anything to draw.
     """
     parts = [part for part in (trained, walked) if part is not None and part.rows]
     if not parts:
-        return False
+        return None
     figure, grid = canvas(2 * len(parts))
     axes = grid[:, 0]
     for n, part in enumerate(parts):
-        pair = axes[2 * n : 2 * n + 2]
+        update = axes[2 * n : 2 * n + 2]
         if part is trained:
-            training(pair, part.body_rows())
+            training(update, part.body_rows())
         else:
-            walking(pair, part, ticks)
-    save(figure, file)
-    return True
+            walking(update, part, ticks)
+    made: Figure = figure
+    return made
+
+
+def draw(
+    file: Path,
+    *,
+    trained: RunRecord | None = None,
+    walked: RunRecord | None = None,
+    ticks: int = 32,
+) -> bool:
+    """Write what ``picture`` returns into a file, PNG or SVG; return whether there was anything."""
+    figure = picture(trained=trained, walked=walked, ticks=ticks)
+    if figure is not None:
+        save(figure, file)
+    return figure is not None

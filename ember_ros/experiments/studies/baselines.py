@@ -18,8 +18,7 @@ from ember_ros.experiments.study import (
 from ember_ros.experiments.trial import CENTRAL
 from ember_ros.experiments.words import Claim, Found
 from ember_ros.params import Params
-from ember_ros.signals import LEGS
-from leg_node.state import Partition
+from leg_node.assembly import empty_table
 
 BODIES = ("reference", "narrow")
 CENTRAL_LABELS = {"body": "reference", "walker": "central learner", "learner": "plain"}
@@ -82,8 +81,8 @@ def text(found: Found) -> list[str]:
     """Say what came of it."""
     central = words.runs_of(found, **CENTRAL_LABELS)
     ticks = Params().gait.ticks
-    coarse = ticks * 2 ** len(LEGS)
-    states = Partition(Params()).size
+    coarse = ticks * 2 ** len(Params().robot.legs)
+    states = empty_table(Params()).states
     actions = len(Params().leg.knee_speeds)
     return [
         *words.walkers(found["arms"]),

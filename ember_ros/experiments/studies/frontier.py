@@ -23,7 +23,7 @@ from ember_ros.experiments.study import (
 from ember_ros.experiments.trial import Outcome
 from ember_ros.experiments.words import Claim, Found
 from ember_ros.report.figures import GREY, canvas, save
-from leg_node.state import Partition
+from leg_node.assembly import make_discretizer
 
 BODIES = ("short", "narrow")
 AIM = 1.0
@@ -176,7 +176,7 @@ def text(found: Found) -> list[str]:
         "What a leg can sense of this by itself is its own height and its contact at the end of "
         "swing, and it knows the phase: with `reward.lead` the last ticks before stance are "
         "rewarded as stance is. The state is not changed: "
-        f"{' x '.join(map(str, Partition(numbers()).shape))}. It goes with "
+        f"{' x '.join(map(str, make_discretizer(numbers()).shape))}. It goes with "
         "more exploration on the trainer (`train.epsilon_start`): the table of the learners tells "
         "what each of the two does without the other.",
         "",

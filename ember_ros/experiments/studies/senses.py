@@ -10,7 +10,7 @@ from ember_ros.experiments.studies.fig5 import HEIGHTS, height_arm
 from ember_ros.experiments.study import LEARNERS, Arm, Size, Study, company, numbers, trained, walks
 from ember_ros.experiments.words import Claim, Found
 from ember_ros.report.figures import canvas, save
-from leg_node.state import Partition
+from leg_node.assembly import empty_table
 
 BODIES = ("reference",)
 FAR = 3.2
@@ -77,6 +77,7 @@ def claims(found: Found) -> list[Claim]:
 
 def text(found: Found) -> list[str]:
     """Say what came of it."""
+    states = empty_table(numbers()).states
     coverage = []
     for learner in LEARNERS:
         for height in HEIGHTS:
@@ -97,7 +98,7 @@ def text(found: Found) -> list[str]:
         "",
         words.WALKERS_NOTE,
         "",
-        f"What a walker meets that its trainer never saw; of {Partition(numbers()).size} states:",
+        f"What a walker meets that its trainer never saw; of {states} states:",
         "",
         *words.grid(
             (

@@ -1,0 +1,1 @@
+"""What is made of recorded runs: run again, and learnt from again. Pure."""
