@@ -1093,6 +1093,7 @@ def last(said: bytes) -> int:
 
 
 @pytest.mark.parametrize("ticks", [16, 80, 160, 304, 480])
+@pytest.mark.slow
 def test_a_kill_costs_what_was_not_flushed(ticks: int, tmp_path: Path) -> None:
     """Killed with -9 at any time: after a repair all flushed ticks are there, each whole.
 
@@ -1367,6 +1368,7 @@ def test_a_database_that_was_cut_off(share: float, tmp_path: Path) -> None:
     ],
     ids=["no topic", "no time", "no bytes", "topic lost", "no type", "no messages"],
 )
+@pytest.mark.slow
 def test_a_database_with_nonsense_in_it(damage: str, tmp_path: Path) -> None:
     """A message of no topic, a time that is none: a BagError names the bag, which is left alone."""
     folder = in_sqlite(record(tmp_path / "bag", 16))
@@ -1457,6 +1459,7 @@ def test_repairing_what_is_no_bag(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("ending", "says"), [(".mcap", "nothing in .*bag is intact"), (".db3", "is no intact database")]
 )
+@pytest.mark.slow
 def test_repairing_files_that_only_look_like_a_bag(
     ending: str, says: str, content: bytes, tmp_path: Path
 ) -> None:
@@ -1694,6 +1697,7 @@ every_state = pytest.mark.parametrize("state", ["whole", "split", "repaired"])
 
 
 @every_state
+@pytest.mark.slow
 def test_two_readers_in_python_agree(state: str, tmp_path: Path) -> None:
     """They decode every message of the same bag, and count the same, topic by topic.
 
@@ -1721,6 +1725,7 @@ def test_a_reader_in_javascript_agrees(
     assert by_javascript(folder) == by_rosbags(folder)
 
 
+@pytest.mark.slow
 def test_repairing_a_whole_bag_keeps_what_is_known_of_its_end(tmp_path: Path) -> None:
     """A bag that lacks nothing keeps the SHA-256 of its table; one that was cut does not."""
     for name, cut in (("whole", 0), ("cut", 100_000)):

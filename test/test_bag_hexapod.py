@@ -132,6 +132,7 @@ def test_a_hexapod_is_recorded_and_looked_into_and_run_again(
 # -- with nodes ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_world_records_six_legs_as_the_loop_does(ros: Ros, tmp_path: Path) -> None:
     """Asked by the world, the nodes say the plan; loop, graph and replay end with one table."""
     own = hexapod()

@@ -421,6 +421,7 @@ LOST: dict[str, tuple[list[tuple[str, int]], int]] = {
 
 
 @pytest.mark.parametrize("what", LOST)
+@pytest.mark.slow
 def test_what_a_recorder_misses_is_counted_and_the_rest_is_as_it_was_said(
     ros: Ros, tmp_path: Path, walked: Path, at_once: None, what: str
 ) -> None:
@@ -453,6 +454,7 @@ def test_time_that_begins_anew_ends_the_bag(
 
 
 @pytest.mark.parametrize("seconds", [-1, 10, 2**30])
+@pytest.mark.slow
 def test_one_message_of_another_time_ends_no_recording(
     ros: Ros, tmp_path: Path, walked: Path, at_once: None, seconds: int
 ) -> None:
@@ -492,6 +494,7 @@ def test_what_is_no_message_is_not_recorded_and_disturbs_nobody(
 # -- the world that records itself -------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_world_asks_legs_and_table_what_determines_its_run(ros: Ros, tmp_path: Path) -> None:
     """Told nothing but the folder: the card is the plan's, the table the one at the start."""
     table = empty_table(config().params)
@@ -538,6 +541,7 @@ class OtherLeg(Node):  # type: ignore[misc]
 
 
 @pytest.mark.parametrize("services", [True, False], ids=["asked", "cannot be asked"])
+@pytest.mark.slow
 def test_a_leg_of_others_making_is_recorded_and_not_replayed(
     ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, services: bool
 ) -> None:
@@ -617,6 +621,7 @@ def test_a_disk_that_is_full_ends_the_run_with_an_error(
         assert done.ticks > 0
 
 
+@pytest.mark.slow
 def test_a_writer_that_is_killed_ends_the_run_with_an_error(ros: Ros, tmp_path: Path) -> None:
     """Whatever became of who writes, the run ends with a BagError that says what to do."""
     long = config(10**6)

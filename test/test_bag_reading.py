@@ -958,6 +958,7 @@ def hold_found(
     place=st.floats(0.0, 1.0, exclude_max=True),
     flip=st.integers(1, 255),
 )
+@pytest.mark.slow
 def test_a_changed_byte_never_passes(
     database: Database,
     tick: int,
@@ -1386,6 +1387,7 @@ def test_two_runs_in_one_bag_are_refused(
 
 @pytest.mark.parametrize("seconds", [-1, 10, 2**30])
 @pytest.mark.parametrize("topic", ["/clock", "/cpg/phase", "/rear_left/command"])
+@pytest.mark.slow
 def test_one_message_of_another_time_ends_nothing(
     walked: Run, messages: list[Raw], tmp_path: Path, topic: str, seconds: int
 ) -> None:

@@ -117,6 +117,7 @@ def held() -> bool:
 
 
 @pytest.mark.skipif(not held(), reason="PyBullet's own arithmetic is held on x86-64 Linux alone")
+@pytest.mark.slow
 def test_the_bits_are_those_that_were_written_down() -> None:
     """Senses, commands, rewards and table of both learners, on the trainer and on the body."""
     assert hashes() == GOLDEN

@@ -84,6 +84,7 @@ def test_workers_import_nothing_of_the_working_directory(hostile: Path) -> None:
 # -- how they end ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_child_ends_when_its_input_does(tmp_path: Path) -> None:
     """A signal that is sent while nobody listens yet is sent again."""
     (tmp_path / "hard_of_hearing.py").write_text(HARD_OF_HEARING)
@@ -122,6 +123,7 @@ def walking(out: Path) -> bool:
 
 
 @pytest.mark.ros
+@pytest.mark.slow
 def test_nodes_end_with_the_process_that_started_them(out: Path) -> None:
     """``kill -9`` of ``ember`` leaves nobody behind, and what was learnt in the table's file."""
     command = [*EMBER, "walk", "--cycles", FOREVER, "--on", "processes", "--out", str(out)]

@@ -236,6 +236,7 @@ def test_progress_is_a_line_now_and_then_without_a_terminal(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_a_path_that_standard_output_has_no_letters_for_is_spelt_out(tmp_path: Path) -> None:
     """A run that is whole does not end with a traceback for its name."""
     out = tmp_path / "\u00fcber \udce9"  # not even UTF-8

@@ -838,6 +838,7 @@ def test_relearn_from_one_of_two_robots(run: Go, two: dict[str, Made]) -> None:
 
 @needs_bullet
 @pytest.mark.parametrize("verb", ["train", "walk"])
+@pytest.mark.slow
 def test_a_run_is_recorded_and_replayed(run: Go, verb: str) -> None:
     """In the real worlds: files, provenance and bits are those of the run."""
     where = ("--on", "loop", "--out", "o", "--bag", "deep/bag")

@@ -84,6 +84,7 @@ def test_the_readmes_code_runs() -> None:
 
 
 @PHYSICS
+@pytest.mark.slow
 def test_a_reward_of_ones_own_is_paid_and_told(tmp_path: Path) -> None:
     """Its term is in the record, negative, since a knee that is driven at random moves."""
     out = tmp_path / "mine"
@@ -210,6 +211,7 @@ def test_hardware_keeps_to_what_a_world_promises(examples: None) -> None:
 
 
 @missing("rclpy")
+@pytest.mark.slow
 def test_a_leg_on_its_driver_learns_on_the_graph(free_domain: int) -> None:
     """Nodes around the driver: senses, commands and the table go over topics and services."""
     told = run(str(EXAMPLES / "leg_driver.py"), "--cycles", "3", domain=free_domain)

@@ -153,6 +153,7 @@ def test_the_code_that_decides_is_all_that_runs(tmp_path: Path) -> None:
 ROOMS = ("leg_node", "sim_node", "cpg_node")
 
 
+@pytest.mark.slow
 def test_the_code_of_a_part_that_is_named_is_in_the_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -224,6 +225,7 @@ def test_starts_come_first_and_nothing_twice() -> None:
     assert lab.in_order([*walked, walked[0]]) == [start, *walked]
 
 
+@pytest.mark.slow
 def test_the_lab_goes_on_where_it_was(tmp_path: Path) -> None:
     """Stopped, it says so; started again it runs what is missing, and nothing once more."""
     trials = [Trial("walker", 1, seed, start=Trial("trainer", 1, seed)) for seed in range(2)]
@@ -413,6 +415,7 @@ def test_held_out_seeds_are_no_others() -> None:
 # -- statistics --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_interval_holds_its_mean() -> None:
     """Student's t; without spread, the mean itself."""
     found = stats.interval([1.0, 2.0, 3.0, 4.0, 5.0])

@@ -630,6 +630,7 @@ def test_no_name_is_hidden_by_a_module() -> None:
     assert not modules & set(er.__all__)
 
 
+@pytest.mark.slow
 def test_a_class_of_a_notebook_works_in_its_own_process(tmp_path: Path) -> None:
     """``__main__.Mine``: it runs and is saved; another process can read it, and not go on."""
     pytest.importorskip("pandas")
@@ -695,6 +696,7 @@ def test_the_notebook_is_short_and_bare() -> None:
     find_spec("nbclient") is None or find_spec("ipykernel") is None,
     reason="nbclient or ipykernel is missing",
 )
+@pytest.mark.slow
 def test_the_notebook_runs_and_shows_its_figures() -> None:
     """In a kernel of its own: three pictures, and figures of both rewards over three seeds."""
     code = (

@@ -374,6 +374,7 @@ def disturbed(
 
 
 @pytest.mark.parametrize("what", SAYS)
+@pytest.mark.slow
 def test_what_a_stranger_says_is_refused_and_counted_and_changes_no_bit(
     ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits], what: str
 ) -> None:
@@ -488,6 +489,7 @@ def test_a_leg_that_dies_is_absent_and_one_that_comes_back_is_present(ros: Ros) 
     assert robot.sim.recorder.summary()["absent_ticks"]["rear_left"] <= missed + 1
 
 
+@pytest.mark.slow
 def test_a_cpg_that_dies_stops_the_world_and_a_new_one_takes_it_on(
     ros: Ros, by_loop: Callable[[RunConfig], Bits]
 ) -> None:
@@ -509,6 +511,7 @@ def test_a_cpg_that_dies_stops_the_world_and_a_new_one_takes_it_on(
     assert not any(refusals(robot.nodes).values())
 
 
+@pytest.mark.slow
 def test_a_table_node_can_be_changed_for_another_that_has_its_file(
     ros: Ros, tmp_path: Path, by_loop: Callable[[RunConfig], Bits]
 ) -> None:
@@ -541,6 +544,7 @@ def test_legs_go_on_without_the_table_and_give_a_new_one_what_they_kept(ros: Ros
     assert learnt == 4 * (ticks - 1 - falls)
 
 
+@pytest.mark.slow
 def test_what_legs_kept_is_handed_in_at_the_end_too(ros: Ros) -> None:
     """A push that a dead table never heard is said again at once when a leg ends."""
     # Longer than legs take to end.
@@ -557,6 +561,7 @@ def test_what_legs_kept_is_handed_in_at_the_end_too(ros: Ros) -> None:
     assert [name for name in LEG_NODES if robot.nodes[name].module.copy.push_due()] == []
 
 
+@pytest.mark.slow
 def test_frozen_legs_come_back_to_a_table_that_comes_back(ros: Ros, tmp_path: Path) -> None:
     """Legs that do not learn push nothing; they pull again all the same once there is a table."""
     file = str(tmp_path / "table.npz")
@@ -579,6 +584,7 @@ def test_frozen_legs_come_back_to_a_table_that_comes_back(ros: Ros, tmp_path: Pa
     ros.spin_until(lambda: all(t.visits[7] == 1 for t in legs), "every leg has what was taught")
 
 
+@pytest.mark.slow
 def test_a_new_world_begins_time_anew_and_legs_go_on(ros: Ros) -> None:
     """Legs notice that time began anew and answer its first tick; what they learnt stays.
 
@@ -670,6 +676,7 @@ def test_in_real_time_nobody_is_waited_for(ros: Ros) -> None:
     assert robot.sim.recorder.summary()["absent_ticks"]["front_right"] >= 62
 
 
+@pytest.mark.slow
 def test_in_real_time_lateness_is_counted_and_told_now_and_then(
     ros: Ros, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

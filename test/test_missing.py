@@ -135,6 +135,7 @@ def test_a_node_that_cannot_record_ends_at_once(
 
 
 @pytest.mark.ros
+@pytest.mark.slow
 def test_nodes_walk_without_what_only_ember_needs() -> None:
     """No node imports what draws, what prints, or what writes bags."""
     hidden = "click,rich,matplotlib,mcap,rosbags,scipy"

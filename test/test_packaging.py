@@ -307,6 +307,7 @@ def test_imports_are_declared(pyproject: dict[str, Any], package_xml: ElementTre
     assert sorted({ROSDEP.get(name, name) for name in foreign} - told) == []
 
 
+@pytest.mark.slow
 def test_the_wheel_has_what_python_and_ros_look_for(
     built: dict[str, Path], pyproject: dict[str, Any], package_xml: ElementTree.Element
 ) -> None:

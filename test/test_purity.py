@@ -113,6 +113,7 @@ def test_files_that_put_parts_together_do_not_need_ros(name: str) -> None:
     assert wrong == []
 
 
+@pytest.mark.slow
 def test_only_world_files_import_pybullet() -> None:
     """PyBullet in one file; that file in the two worlds and where friction itself is measured.
 
@@ -200,6 +201,7 @@ print(len(sys.argv) - 1)
 """
 
 
+@pytest.mark.slow
 def test_pure_files_are_imported_without_ros_and_bullet() -> None:
     """In a Python that has neither, every pure file and every assembly can be imported."""
     names = sorted({*PURE, *LAZY})

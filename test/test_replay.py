@@ -337,6 +337,7 @@ def _first(place: tuple[topics.Topic, int], tick: int) -> tuple[topics.Topic, in
 
 
 @pytest.mark.parametrize("what", ["joint_states", "contact"])
+@pytest.mark.slow
 def test_a_sense_that_is_no_message_any_more_is_told(
     tmp_path: Path, walked: Made, what: str
 ) -> None:
@@ -373,6 +374,7 @@ def test_a_run_that_ended_within_a_cycle_is_replayed_to_its_end(tmp_path: Path) 
 
 
 @ways
+@pytest.mark.slow
 def test_a_bag_that_was_cut_off_is_equal_up_to_there(
     tmp_path: Path, walked: Made, on_graph: str
 ) -> None:
@@ -408,6 +410,7 @@ MISSING: dict[str, tuple[list[tuple[str, int]], str]] = {
         *(pytest.param(what, "graph", marks=needs_bullet) for what in ("contact", "two ticks")),
     ],
 )
+@pytest.mark.slow
 def test_a_record_with_a_hole_is_replayed_up_to_it(
     tmp_path: Path, walked: Made, what: str, on_graph: str
 ) -> None:
@@ -562,6 +565,7 @@ def test_the_order_of_bags_is_kept_and_matters(runs: list[Made]) -> None:
     assert second.table.sha256() == third.table.sha256()
 
 
+@pytest.mark.slow
 def test_a_pass_is_all_bags_once(runs: list[Made]) -> None:
     """Two passes are the bags named twice, in their order; sums are twice as much."""
     one, other = (made.bag for made in runs[:2])

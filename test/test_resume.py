@@ -49,6 +49,7 @@ def test_exploration_goes_on_where_it_was(tmp_path: Path) -> None:
 
 @needs_bullet
 @pytest.mark.parametrize("way", ["loop", "graph"])
+@pytest.mark.slow
 def test_a_run_is_resumed_with_what_it_had(tmp_path: Path, way: str) -> None:
     """Cycles add up, over two runs, and the parameters are the run's own."""
     go(tmp_path / "a", RunConfig("trainer", 4, params=EAGER, seed=1), way)
@@ -64,6 +65,7 @@ def test_a_run_is_resumed_with_what_it_had(tmp_path: Path, way: str) -> None:
 
 @pytest.mark.ros
 @needs_bullet
+@pytest.mark.slow
 def test_loop_and_graph_resume_alike(tmp_path: Path) -> None:
     """The same bits from the same cycle."""
     config = RunConfig("trainer", 8, params=EAGER, seed=2, start_cycle=19)

@@ -607,6 +607,7 @@ LIES: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("name", LIES)
+@pytest.mark.slow
 def test_a_file_that_lies_is_refused_before_it_is_unpacked(saved: Path, name: str) -> None:
     """Whatever a file says of its size: it costs neither time nor memory, and has one line."""
     spoil, says = LIES[name]

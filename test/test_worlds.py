@@ -92,6 +92,7 @@ def drive(
 
 
 @every_world
+@pytest.mark.slow
 def test_a_world_keeps_its_promises(kind: str) -> None:
     """All that ``check_world`` holds any world to: begun, asked, reset, repeated, closed."""
     params = params_of(kind)
