@@ -46,7 +46,6 @@ class CpgNode(SingleNode, Node):  # type: ignore[misc]
         self._tick_ns = params.gait.tick_ns
         self._beats = Beats(parts.make(params, "cpg", params))
         self._wire = wire.BeatWire(self._tick_ns)
-        self._last = -1
         self._publisher = topics.PHASE.publish(self)
         self._senses: dict[str, wire.SenseWire] = {}
         if self._beats.hears_legs:

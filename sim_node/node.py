@@ -22,7 +22,7 @@ from ember_ros.signals import Beat, LegCommand, Transition
 from ember_ros.spinning import node_main
 from ember_ros.throttle import Throttle
 from ember_ros.worlds import World, make_world
-from sim_node.recorders import BagObserver, RecorderLink, Timeout
+from sim_node.recorders import BagRecorder, RecorderLink, Timeout
 from sim_node.reports import BodyPublisher, Diagnostics, Lateness
 
 FINISHED = "summary.json"  # the last file that `ember` writes into the folder of a run
@@ -88,12 +88,11 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
         self.recorder = RunStatistics(params, self.legs, out)
         self.observers: list[Observer] = [self.recorder]
         """Objects whose ``tick`` is called for every tick."""
-        self._bag: BagObserver | None = None
+        self._bag: BagRecorder | None = None
         self._failed: BagError | None = None
         if options["bag"]:
             split = (options[name] for name in BagOptions._fields[1:])
-            self._bag = BagObserver(self, self._kind, BagOptions(Path(options["bag"]), *split))
-            self.observers.append(self._bag)
+            self._bag = BagRecorder(self, self._kind, BagOptions(Path(options["bag"]), *split))
         self.refused = 0
         self._realtime = options["mode"] == "realtime"
         self._patience = options["patience"]
@@ -297,8 +296,11 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             self._throttle.remind("recorder", "waiting for the recorder")
             return
         try:
-            if self._bag is not None and not self._bag.start(late):
-                return
+            if self._bag is not None:
+                observer = self._bag.start(late)
+                if observer is None:
+                    return
+                self.observers.append(observer)
         except BagError as error:
             self._end_with(error)
             return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from rclpy.node import Node
 
@@ -13,13 +13,13 @@ from ember_ros.bag.run_writer import RunWriter
 from ember_ros.bag.storage import BagOptions
 from ember_ros.bag.writer_process import WriterProcess
 from ember_ros.errors import SignalError
-from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
+from ember_ros.observer import Observer
 
 AHEAD = 24  # maximum ticks ahead of a recorder: Fast DDS queues 512 messages between two processes
 
 
-class BagObserver:
-    """An observer that records the run into a bag; it requests the metadata from the nodes."""
+class BagRecorder:
+    """Records the run into a bag; requests the run's metadata from the nodes before."""
 
     def __init__(self, node: Node, world: str, options: BagOptions) -> None:
         """Create the bag.
@@ -37,7 +37,7 @@ class BagObserver:
         self._inquiry = MetadataClient(node, node.get_namespace())
         self._run_writer: RunWriter | None = None
 
-    def start(self, late: bool) -> bool:
+    def start(self, late: bool) -> Observer | None:
         """Request the run's metadata from the nodes; start to record once all have responded.
 
         Args:
@@ -45,35 +45,19 @@ class BagObserver:
                 nodes of this package.
 
         Returns:
-            True once the recording has started.
+            The observer that writes the ticks into the bag; None until all have responded.
 
         Raises:
             BagError: the bag cannot be written.
         """
         if self._inquiry.poll() and not late:
-            return False
+            return None
         run_metadata, table, wrong = self._inquiry.run_metadata(self._world, 0)
         for why in wrong:
             self._node.get_logger().warning(f"the bag cannot be replayed: {why}")
         namespace = self._node.get_namespace()
         self._run_writer = RunWriter(self._writer, run_metadata, table, namespace=namespace)
-        return True
-
-    def tick(
-        self,
-        beat: Beat,
-        senses: Sequence[LegSense],
-        commands: Sequence[LegCommand | None],
-        body: BodyState,
-        transitions: Sequence[Transition | None],
-    ) -> None:
-        """Write one tick.
-
-        Raises:
-            BagError: the bag cannot be written.
-        """
-        assert self._run_writer is not None
-        self._run_writer.tick(beat, senses, commands, body, transitions)
+        return self._run_writer
 
     def finish(self) -> None:
         """Write the end of the bag and close it.
