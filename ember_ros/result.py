@@ -47,19 +47,8 @@ class QTable:
     none), and ``action``."""
 
     def __post_init__(self) -> None:
-        discretizer = make_discretizer(self.params)
-        states, actions = states_of(discretizer), len(self.params.leg.knee_speeds)
-        tables = empty_table(self.params).states // states
-        shape = (*discretizer.shape, actions)
-        names = getattr(discretizer, "names", None) or [f"axis_{n}" for n in range(len(shape) - 1)]
-        if len(names) != len(shape) - 1:
-            raise TableError(
-                f"{self.params.parts.discretizer} names {len(names)} axes, {shown(tuple(names))}; "
-                f"a name for each of {len(shape) - 1} would be right"
-            )
-        several = tables > 1
-        shape = (tables, *shape) if several else shape
-        object.__setattr__(self, "axes", (*["table"] * several, *names, "action"))
+        axes, shape = _cells_of(self.params)
+        object.__setattr__(self, "axes", axes)
         for name, kind in (("q", np.float64), ("visits", np.int64)):
             given = np.array(getattr(self, name), order="C")
             if given.shape != shape or given.dtype != kind:
@@ -83,10 +72,7 @@ class QTable:
         Raises:
             TableError: it has another size than the parameters ask for.
         """
-        discretizer = make_discretizer(params)
-        states, actions = states_of(discretizer), len(params.leg.knee_speeds)
-        tables = max(1, table.states // states)
-        shape = (*[tables] * (tables > 1), *discretizer.shape, actions)
+        _, shape = _cells_of(params)
         if math.prod(shape) != len(table):
             raise TableError(f"a table of {len(table)} cells; {shape} would be right")
         return cls(table.values.reshape(shape), table.visits.reshape(shape), params)
@@ -135,6 +121,26 @@ class QTable:
         return (
             f"QTable of {size}: {known} of {self.q.size} cells visited, {self.visits.sum()} times"
         )
+
+
+def _cells_of(params: Params) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Return names and lengths of the axes of a Q-table.
+
+    Raises:
+        TableError: the discretizer names fewer or more axes than it has.
+        ParameterError: a part cannot be used.
+    """
+    discretizer, cells = make_discretizer(params), empty_table(params)
+    sizes = tuple(discretizer.shape)
+    names = getattr(discretizer, "names", None) or [f"axis_{n}" for n in range(len(sizes))]
+    if len(names) != len(sizes):
+        raise TableError(
+            f"{params.parts.discretizer} names {len(names)} axes, {shown(tuple(names))}; "
+            f"a name for each of {len(sizes)} would be right"
+        )
+    axes, shape = (*names, "action"), (*sizes, cells.actions)
+    tables = cells.states // states_of(discretizer)
+    return (("table", *axes), (tables, *shape)) if tables > 1 else (axes, shape)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
