@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+Floats = NDArray[np.float64]
 LEVEL = 0.95
 
 
@@ -24,6 +26,27 @@ def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
     """Return the first quartile, the median and the third quartile."""
     low, middle, high = np.percentile(np.asarray(values, dtype=float), (25, 50, 75))
     return float(low), float(middle), float(high)
+
+
+def quartile_curve(values: Floats, bins: int) -> dict[str, list[Any]]:
+    """Return the quartiles over seeds of the means of equal bins of steps.
+
+    Args:
+        values: ``(seeds, steps)``.
+        bins: of which there are fewer where there are fewer steps.
+
+    Returns:
+        ``steps``, the last of each bin, and ``low``, ``median`` and ``high``, rounded.
+    """
+    parts = np.array_split(values, min(bins, values.shape[1]), axis=1)
+    means = np.stack([part.mean(axis=1) for part in parts], axis=1)
+    low, middle, high = np.percentile(means, (25, 50, 75), axis=0)
+    return {
+        "steps": np.cumsum([part.shape[1] for part in parts]).tolist(),
+        "low": low.round(5).tolist(),
+        "median": middle.round(5).tolist(),
+        "high": high.round(5).tolist(),
+    }
 
 
 def interval(values: Sequence[float]) -> Interval:

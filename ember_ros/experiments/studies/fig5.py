@@ -111,15 +111,8 @@ def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
     for arm, outcomes in known:
         for name in QUANTITIES:
             each = np.array([outcome.cycles[name] for outcome in outcomes])
-            parts = np.array_split(each, min(BINS, each.shape[1]), axis=1)
-            means = np.stack([part.mean(axis=1) for part in parts], axis=1)
-            ends = np.cumsum([part.shape[1] for part in parts])
-            low, middle, high = np.percentile(means, (25, 50, 75), axis=0)
             found["/".join((*arm.labels.values(), name))] = {
-                "steps": ends.tolist(),
-                "low": low.round(5).tolist(),
-                "median": middle.round(5).tolist(),
-                "high": high.round(5).tolist(),
+                **stats.quartile_curve(each, BINS),
                 "settles": [settles(values) for values in each],
                 "first": each[:, :MEAN].mean(axis=1).round(5).tolist(),
                 "last": each[:, -MEAN:].mean(axis=1).round(5).tolist(),

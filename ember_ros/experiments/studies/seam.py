@@ -43,15 +43,7 @@ def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
     for arm, outcomes in known:
         for name in QUANTITIES:
             each = np.array([outcome.cycles[name] for outcome in outcomes])
-            parts = np.array_split(each, min(BINS, each.shape[1]), axis=1)
-            means = np.stack([part.mean(axis=1) for part in parts], axis=1)
-            low, middle, high = np.percentile(means, (25, 50, 75), axis=0)
-            found["/".join((*arm.labels.values(), name))] = {
-                "steps": np.cumsum([part.shape[1] for part in parts]).tolist(),
-                "low": low.round(5).tolist(),
-                "median": middle.round(5).tolist(),
-                "high": high.round(5).tolist(),
-            }
+            found["/".join((*arm.labels.values(), name))] = stats.quartile_curve(each, BINS)
     return found
 
 
