@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -53,6 +53,9 @@ class Damage(NamedTuple):
     """CRC-32 of the senses in the bag."""
     recorded: int
     """The CRC-32 that was recorded."""
+
+
+_Stamped = TypeVar("_Stamped", Beat, LegCommand, Transition)
 
 
 class Raw(NamedTuple):
@@ -387,9 +390,8 @@ class Bag:
         bare = self.connections[phase].msgtype == topics.BARE_PHASE.kind
         beats = wire.BeatWire(tick_ns)
 
-        def read_beat(data: bytes) -> tuple[int, Beat]:
-            beat = wire.read_bare_phase(data, gait.ticks, phase) if bare else beats.read(data)
-            return beat.tick, beat
+        def read_beat(data: bytes) -> Beat:
+            return wire.read_bare_phase(data, gait.ticks, phase) if bare else beats.read(data)
 
         def read_body(data: bytes) -> tuple[int, Any]:
             ns, pose = wire.read_odometry(data, odometry)
@@ -413,32 +415,18 @@ class Bag:
             return -1, None
 
         readers: dict[str, Callable[[bytes], tuple[int, Any]]] = {
-            phase: read_beat,
+            phase: _with_tick(read_beat),
             odometry: read_body,
             crc: read_crc,
         }
         for leg in self.legs:
             senses, commands = wire.SenseWire(leg, tick_ns), wire.CommandWire(leg, tick_ns)
-
-            def read_command(
-                data: bytes, commands: wire.CommandWire = commands
-            ) -> tuple[int, LegCommand]:
-                command = commands.read(data)
-                return command.tick, command
-
             readers[self._name(topics.joint_states(leg))] = senses.read_joints
             readers[self._name(topics.contact(leg))] = senses.read_contact
-            transitions = wire.TransitionWire(leg, tick_ns)
-
-            def read_transition(
-                data: bytes, transitions: wire.TransitionWire = transitions
-            ) -> tuple[int, Transition]:
-                transition = transitions.read(data)
-                return transition.tick, transition
-
-            readers[self._name(topics.command(leg))] = read_command
+            readers[self._name(topics.command(leg))] = _with_tick(commands.read)
             if leg in self._legs_with_transitions:
-                readers[self._name(topics.transition(leg))] = read_transition
+                transitions = wire.TransitionWire(leg, tick_ns)
+                readers[self._name(topics.transition(leg))] = _with_tick(transitions.read)
         return readers
 
     def _has_fall(self, messages: dict[str, Any]) -> bool:
@@ -486,6 +474,16 @@ class Bag:
         ):
             if computed != recorded:
                 self.damages.append(Damage(tick, leg, computed, recorded))
+
+
+def _with_tick(read: Callable[[bytes], _Stamped]) -> Callable[[bytes], tuple[int, _Stamped]]:
+    """Return a reader that returns the tick of a message too."""
+
+    def read_with_tick(data: bytes) -> tuple[int, _Stamped]:
+        value = read(data)
+        return value.tick, value
+
+    return read_with_tick
 
 
 @contextmanager
