@@ -47,10 +47,10 @@ class Loop:
     """One robot: a world, a central pattern generator, legs, and the table they share."""
 
     def __init__(self, config: RunConfig, world: World | None = None) -> None:
-        """Build the robot of a plan, in ``world`` or in the one that the plan names.
+        """Build the configured robot, in ``world`` or in the one that ``config`` names.
 
         Raises:
-            TableError: the plan's table cannot be used.
+            TableError: the table to start from cannot be used.
             ParameterError: a leg, a policy or a part does not exist.
         """
         params = config.params

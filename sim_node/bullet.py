@@ -263,9 +263,8 @@ class BulletWorld(ABC):
         client, robot = self._client, self._robot
         for _ in range(self.params.physics.substeps):
             bullet.stepSimulation(client)
-            self._read_contacts(
-                bullet.getContactPoints(robot, -1, -2, -2, client)
-            )  # -1, -2: with anything
+            # -1, -2: with anything.
+            self._read_contacts(bullet.getContactPoints(robot, -1, -2, -2, client))
         self._tick += 1
         self._senses = self._sense(first_tick=False)
         self.work += self._worked

@@ -79,9 +79,8 @@ class MetadataClient:
             self._request_parameters(command, OF_LEG)
         if self._table is None:
             if TABLE not in self._requests:
-                request = calls.write_pull(
-                    None, -1
-                )  # of before epoch 0: the table node merges nothing for it
+                # Of before epoch 0: the table node merges nothing for it.
+                request = calls.write_pull(None, -1)
                 service = absolute(self._namespace, TABLE)
                 self._requests[TABLE] = _Request(self._node, service, request)
             self._table = self._requests[TABLE].poll()

@@ -192,9 +192,8 @@ def lock(folder: Path) -> int:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             if time.monotonic() < deadline:
-                time.sleep(
-                    LOCK_S / 100
-                )  # its recorder was killed, and its writer process closes it
+                # Its recorder was killed, and its writer process closes it.
+                time.sleep(LOCK_S / 100)
                 continue
             os.close(descriptor)
             raise BagError(f"{folder} is being written now; stop the recording first") from None

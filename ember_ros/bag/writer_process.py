@@ -127,9 +127,8 @@ class WriterProcess:
             raise BagError(f"the bag {self.folder} is closed")
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        if (
-            not self._ready
-        ):  # wait at the first flush: later ticks must not wait for Python to start
+        if not self._ready:
+            # Wait at the first flush: later ticks must not wait for Python to start.
             self._ready = bool(self._process.stdout.readline())
         try:
             self._process.stdin.write(self._records)

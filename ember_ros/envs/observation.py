@@ -21,11 +21,11 @@ from leg_node.task import Perception
 
 KNEE_PLAY = 0.5
 """Beyond its stops to which a knee is sensed, rad: Bullet's are soft."""
-MOST_SPEED = 200.0
+MAX_SPEED = 200.0
 """Of a joint, rad/s: the most that ``leg.knee_speeds`` can ask for."""
 MAX_LOADS = 100.0
 """Force of a foot, in ``leg.load``."""
-MOST_SLIP = 1.0
+MAX_SLIP = 1.0
 """In a tick, m."""
 
 
@@ -45,12 +45,12 @@ def sensors_of(params: Params) -> tuple[Sensor, ...]:
     return (
         Sensor("hip", "rad", -math.pi, math.pi),
         Sensor("knee", "rad", -KNEE_PLAY, params.leg.knee_max + KNEE_PLAY),
-        Sensor("hip_speed", "rad/s", -MOST_SPEED, MOST_SPEED),
-        Sensor("knee_speed", "rad/s", -MOST_SPEED, MOST_SPEED),
+        Sensor("hip_speed", "rad/s", -MAX_SPEED, MAX_SPEED),
+        Sensor("knee_speed", "rad/s", -MAX_SPEED, MAX_SPEED),
         Sensor("force_mean", "N", 0.0, load),
         Sensor("force_peak", "N", 0.0, load),
         Sensor("inclination", "rad", -math.pi, math.pi),
-        Sensor("slip", "m", 0.0, MOST_SLIP),
+        Sensor("slip", "m", 0.0, MAX_SLIP),
         Sensor("hair", "0 or 1", 0.0, 1.0),
         Sensor("contact", "0 or 1", 0.0, 1.0),
         Sensor("stance", "0 or 1", 0.0, 1.0),

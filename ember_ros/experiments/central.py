@@ -39,7 +39,7 @@ class CentralLoop(Loop):
     """The loop, with one learner that tells all legs what to do."""
 
     def __init__(self, config: RunConfig) -> None:
-        """Build the robot of a plan; its table is not used."""
+        """Build the configured robot; its table is not used."""
         super().__init__(config)
         params: Params = config.params
         numbers = numbers_of(params, config.stage)
