@@ -43,7 +43,7 @@ from ember_ros.experiments.trial import (
     TABLE,
     Trial,
     code_sha256,
-    done,
+    is_done,
     outcome,
     run_trial,
 )
@@ -107,7 +107,7 @@ def test_a_trial_twice_is_the_same_trial(tmp_path: Path) -> None:
     assert found[0].cycles.keys() == found[1].cycles.keys()
     for name, values in found[0].cycles.items():
         assert np.array_equal(values, found[1].cycles[name])
-    assert np.array_equal(found[0].shown, found[1].shown)
+    assert np.array_equal(found[0].traces, found[1].traces)
 
 
 def test_whatever_determines_a_trial_is_in_its_name() -> None:
@@ -166,7 +166,7 @@ def test_the_code_of_a_part_that_is_named_is_in_the_name(
         file.write_text(code)
         importlib.invalidate_caches()
         code_sha256.cache_clear()
-        return trial.named({})
+        return trial.key_with({})
 
     for trial in (
         Trial("walker", 1, 0, params),
@@ -187,7 +187,7 @@ def test_a_stopped_trial_leaves_nothing(tmp_path: Path) -> None:
     assert not run_trial(trial, tmp_path, lambda: next(left))
     assert list(tmp_path.iterdir()) == []
     assert run_trial(trial, tmp_path)
-    assert done(trial, tmp_path)
+    assert is_done(trial, tmp_path)
 
 
 def test_measures_are_those_of_the_record(tmp_path: Path) -> None:
@@ -203,8 +203,8 @@ def test_measures_are_those_of_the_record(tmp_path: Path) -> None:
     assert measures["outside_settled"] is None
     # NumPy adds in another order.
     assert measures["distance_m"] == pytest.approx(cycles["distance_m"].mean())
-    assert measures["unseen_share"] is None
-    assert found.shown.shape == (2, 16 * 32, 2)
+    assert measures["unvisited_share"] is None
+    assert found.traces.shape == (2, 16 * 32, 2)
 
 
 def test_a_scripted_walk_costs_what_a_walk_costs(tmp_path: Path) -> None:

@@ -21,17 +21,17 @@ from leg_node.gait import GaitStep
 from leg_node.policy import epsilon_at
 from leg_node.table import Table
 
-DRAWER = WORLD + 1
+CENTRAL_LEARNER = WORLD + 1
 """Spawn key of the central learner's random numbers."""
 
 
-class _Given:
-    """A policy whose action is given from outside."""
+class _FixedAction:
+    """A policy whose action is set from outside."""
 
     action = 0
 
     def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
-        """Return the action that was given."""
+        """Return the action that was set."""
         return self.action
 
 
@@ -45,32 +45,32 @@ class CentralLoop(Loop):
         numbers = numbers_of(params, config.stage)
         self._numbers, self._ticks = numbers, params.gait.ticks
         self._speeds = len(params.leg.knee_speeds)
-        self._rng = generator(config.seed, DRAWER)
+        self._rng = generator(config.seed, CENTRAL_LEARNER)
         count = len(config.legs)
         self.joint = Table(self._ticks * 2**count, self._speeds**count)
-        self._given = [_Given() for _ in config.legs]
+        self._policies = [_FixedAction() for _ in config.legs]
         self.legs = [
-            make_leg(params, leg, stage=config.stage, policy=given, learning=False)
-            for leg, given in zip(config.legs, self._given, strict=True)
+            make_leg(params, leg, stage=config.stage, policy=policy, learning=False)
+            for leg, policy in zip(config.legs, self._policies, strict=True)
         ]
-        self._before: tuple[int, int] | None = None
+        self._last: tuple[int, int] | None = None
 
     def _state(self, senses: tuple[LegSense, ...]) -> int:
         bits = sum(sense.contact << n for n, sense in enumerate(senses))
         return (self.now % self._ticks << len(senses)) + bits
 
     def _learn(self, senses: tuple[LegSense, ...], state: int) -> None:
-        """Learn from what the legs were paid for the tick that just ended, all alike."""
-        if self._before is None:
+        """Learn from the mean reward of all legs for the tick that just ended."""
+        if self._last is None:
             return
-        paid = [leg.credit(sense) for leg, sense in zip(self.legs, senses, strict=True)]
-        if not all(each.credited for each in paid):
+        rewards = [leg.credit(sense) for leg, sense in zip(self.legs, senses, strict=True)]
+        if not all(each.credited for each in rewards):
             return
-        was, did = self._before
+        was, did = self._last
         reward = 0.0
-        for each in paid:
+        for each in rewards:
             reward += each.reward
-        reward /= len(paid)
+        reward /= len(rewards)
         actions = self.joint.actions
         best = float(self.joint.values[state * actions : (state + 1) * actions].max())
         target = reward + self._numbers.gamma * best
@@ -90,7 +90,7 @@ class CentralLoop(Loop):
         state = self._state(senses)
         self._learn(senses, state)
         joint = self._choose(state)
-        self._before = state, joint
-        for given in self._given:
-            joint, given.action = divmod(joint, self._speeds)
+        self._last = state, joint
+        for policy in self._policies:
+            joint, policy.action = divmod(joint, self._speeds)
         super().tick(*observers)

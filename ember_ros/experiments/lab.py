@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ember_ros.errors import EmberError
-from ember_ros.experiments.trial import Trial, done, run_trial
+from ember_ros.experiments.trial import Trial, is_done, run_trial
 
 WORKERS = 2
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -130,7 +130,7 @@ def run_all(trials: Iterable[Trial], folder: Path, say: Callable[[int, int], boo
         Whether all were run.
     """
     order = in_order(trials)
-    ready = {trial.key for trial in order if done(trial, folder)}
+    ready = {trial.key for trial in order if is_done(trial, folder)}
     waiting = [trial for trial in order if trial.key not in ready]
     total = sum(map(cost, order))
     spent = total - sum(map(cost, waiting))

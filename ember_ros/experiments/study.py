@@ -217,8 +217,8 @@ def belongs(study: Study, found: Found) -> str | None:
         return "the code that decides is not the one that ran it"
     size = Size(about["seeds"], about["train"], about["walk"])
     names = [
-        {"trial": trial.named(about["versions"])}
-        | ({"start": trial.start.named(about["versions"])} if trial.start else {})
+        {"trial": trial.key_with(about["versions"])}
+        | ({"start": trial.start.key_with(about["versions"])} if trial.start else {})
         for arm in study.arms(size)
         for trial in arm.trials
     ]

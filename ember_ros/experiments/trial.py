@@ -1,7 +1,7 @@
-"""One run of an experiment as a value: what is run, what it starts from, and what came of it.
+"""One run of an experiment as a value: its configuration, the trial it starts from, its results.
 
-A trial is named by the SHA-256 of all that determines it, the code that decides included, so that
-what lies in its folder is what running it again would give.
+A trial's key is the SHA-256 of everything that determines it, including the code, so that the files
+in its folder are what running it again would give.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from leg_node.table import Ints, Table
 from leg_node.table_file import load_table, save_table
 
 TILT_RAD, LOW_M = 0.3, 0.36
-"""A cycle with more tilt or lower hips than this is counted as outside, fall or no fall."""
-SETTLING = 100
-"""Cycles after which the share outside is told once more."""
+"""A cycle with more tilt or lower hips is outside the safe range, whether it fell or not."""
+SETTLING_CYCLES = 100
+"""Cycles after which the share of cycles outside is measured once more."""
 WINDOW = 500
 """Cycles at the beginning and at the end whose standard deviations are compared."""
-SHOWN = 16
-"""Cycles at the beginning and at the end whose roll and pitch are kept tick by tick."""
-KNOWN = 20
+TRACED_CYCLES = 16
+"""Cycles at the beginning and at the end whose roll and pitch are saved tick by tick."""
+MIN_VISITS = 20
 """Visits of a state by each of two legs, from which on their best actions are compared."""
 CENTRAL = "central"
-"""The policy of one learner over all legs."""
+"""The policy of one learner for all legs."""
 TABLE, MEASURES, CYCLES = "table.npz", "trial.json", "cycles.npz"
 COLUMNS = tuple(name for name in Row._fields if name not in ("cycle", "module"))
 DECIDES = (
@@ -70,17 +70,17 @@ DECIDES = (
         "sim_node.walker",
     ),
 )
-"""The modules that decide what comes of a trial."""
+"""The modules that determine the results of a trial."""
 
 
 @functools.cache
 def code_sha256(*more: str) -> str:
-    """Return the SHA-256 of the code that decides: of what it does, not of how it is written.
+    """Return the SHA-256 of the syntax trees of the modules that determine results.
 
-    Comments, docstrings and line ends do not count.
+    Comments, docstrings and line ends do not change it.
 
     Args:
-        *more: modules that decide beside those that always do.
+        *more: modules to include besides ``DECIDES``.
     """
     digest = hashlib.sha256()
     for name in (*DECIDES, *more):
@@ -106,7 +106,7 @@ def _only_words(statement: ast.stmt) -> bool:
 
 @dataclass(frozen=True)
 class Trial:
-    """A run by the direct loop."""
+    """A run in the loop."""
 
     world: str
     cycles: int
@@ -116,15 +116,15 @@ class Trial:
     """``learned``, ``scripted``, ``random``, or ``central``."""
     learning: bool = True
     start: Trial | None = None
-    """Whose table it starts from."""
+    """The trial whose table it starts from; an empty table for None."""
 
     @functools.cached_property
     def key(self) -> str:
-        """Names the trial: equal exactly where all that determines it is equal."""
-        return self.named(versions())
+        """Key of the trial: equal exactly if everything that determines it is equal."""
+        return self.key_with(versions())
 
-    def named(self, known: Mapping[str, str]) -> str:
-        """Return the key that the trial has with these versions of all that is installed."""
+    def key_with(self, installed: Mapping[str, str]) -> str:
+        """Return the key of the trial with these versions of the installed packages."""
         content = [
             self.world,
             self.cycles,
@@ -132,16 +132,16 @@ class Trial:
             params_sha256(self.params),
             self.policy,
             self.learning,
-            self.start.named(known) if self.start else None,
+            self.start.key_with(installed) if self.start else None,
             code_sha256(*self._own_modules()),
-            dict(known),
+            dict(installed),
         ]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
 
     def _own_modules(self) -> list[str]:
-        """Return the modules of parts that are named by a path and do not always decide.
+        """Return the modules of parts that are named by a path and are not in ``DECIDES``.
 
-        What these import in turn is not among them.
+        The modules that these import are not included.
         """
         paths = [*vars(self.params.parts).values(), self.world, self.policy]
         named = {path.rpartition(".")[0] for path in paths if "." in path}
@@ -150,36 +150,36 @@ class Trial:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a trial."""
+    """The results of a trial."""
 
     measures: dict[str, Any]
-    """Plain numbers by name."""
+    """Scalar measures by name."""
     cycles: dict[str, NDArray[np.float64]]
     """The body's columns of ``cycles.csv``, ``(cycles,)`` each."""
-    shown: NDArray[np.float64]
-    """Roll and pitch, rad, at each tick of the first and of the last ``SHOWN`` cycles,
+    traces: NDArray[np.float64]
+    """Roll and pitch, rad, at each tick of the first and of the last ``TRACED_CYCLES`` cycles,
     ``(2, ticks, 2)``."""
     footfall: NDArray[np.float64]
     """Share of all legs and cycles with the foot on the ground, in each tick of a leg's own cycle,
     stance first, ``(ticks,)``."""
 
 
-def done(trial: Trial, folder: Path) -> bool:
-    """Return whether a trial was run before."""
+def is_done(trial: Trial, folder: Path) -> bool:
+    """Return whether the results of a trial are in ``folder``."""
     return (folder / trial.key / MEASURES).exists()
 
 
 def outcome(trial: Trial, folder: Path) -> Outcome:
-    """Read what came of a trial."""
+    """Read the results of a trial."""
     home = folder / trial.key
     with np.load(home / CYCLES, allow_pickle=False) as content:
         columns = {name: content[name] for name in content.files}
     measures = json.loads((home / MEASURES).read_text(encoding="utf-8"))
-    return Outcome(measures, columns, columns.pop("shown"), columns.pop("footfall"))
+    return Outcome(measures, columns, columns.pop("traces"), columns.pop("footfall"))
 
 
-class _Watch:
-    """Hears every tick of a trial: in which states the legs were, and when their feet were down."""
+class _TickStatistics:
+    """An observer that counts the legs' states and the ticks with their feet on the ground."""
 
     def __init__(self, trial: Trial, legs: Sequence[str], start: Table | None) -> None:
         params = trial.params
@@ -189,7 +189,7 @@ class _Watch:
         named = dict(zip(params.robot.legs, params.robot.offset, strict=True))
         self._offsets = [named.get(leg, 0.0) for leg in legs]
         self._down: list[int] = [0] * self._ticks
-        self._known = None if start is None else visits_of_states(start) > 0
+        self._visited_at_start = None if start is None else visits_of_states(start) > 0
 
     def tick(
         self,
@@ -201,7 +201,7 @@ class _Watch:
     ) -> None:
         visits, down, ticks = self.visits, self._down, self._ticks
         for sense, offset, did in zip(senses, self._offsets, transitions, strict=True):
-            assert did is not None  # the loop's legs always say
+            assert did is not None  # the legs of the loop always return one
             visits[did.next_state] += 1
             if sense.force_mean > 0.0:  # in the tick that just ended
                 down[int((beat.phase + offset) * ticks - 1) % ticks] += 1
@@ -210,29 +210,29 @@ class _Watch:
         """Return the share of cycles with the foot on the ground, for each tick of a cycle."""
         return np.array(self._down) / (len(self._offsets) * cycles)
 
-    def unseen(self) -> float | None:
-        """Return the share of decisions in states that the start's legs never were in."""
-        if self._known is None:
+    def unvisited_share(self) -> float | None:
+        """Return the share of decisions in states that its start never visited."""
+        if self._visited_at_start is None:
             return None
-        return float(self.visits[~self._known].sum() / max(1, self.visits.sum()))
+        return float(self.visits[~self._visited_at_start].sum() / max(1, self.visits.sum()))
 
 
 def visits_of_states(table: Table) -> Ints:
-    """Return how often each state's actions were tried, ``(states,)``."""
+    """Return the number of updates of each state's actions, ``(states,)``."""
     total: Ints = table.visits.reshape(table.states, table.actions).sum(axis=1)
     return total
 
 
 def run_trial(trial: Trial, folder: Path, go_on: Callable[[], bool] = lambda: True) -> bool:
-    """Run a trial whose start was run before, and keep what came of it.
+    """Run a trial and save its results; the trial it starts from must have been run.
 
     Args:
-        trial: what to run.
-        folder: of all trials.
-        go_on: asked at every cycle.
+        trial: the trial to run.
+        folder: folder of all trials.
+        go_on: is called before every cycle; the trial stops if it returns False.
 
     Returns:
-        Whether it came to its end; if not, nothing is kept.
+        Whether the trial was completed; if not, nothing is saved.
     """
     began = time.process_time()
     config = RunConfig(
@@ -248,52 +248,52 @@ def run_trial(trial: Trial, folder: Path, go_on: Callable[[], bool] = lambda: Tr
     try:
         start = load_table(config.table, config.params)[0] if config.table else None
         recorder = RunStatistics(config.params, config.legs)
-        watch = _Watch(trial, config.legs, start)
+        statistics = _TickStatistics(trial, config.legs, start)
         for _ in range(trial.cycles):
             if not go_on():
                 return False
             for _ in range(config.params.gait.ticks):
-                loop.tick(recorder, watch)
+                loop.tick(recorder, statistics)
         recorder.finish(loop.world.observe(), loop.world.body())
-        differ = _differ([leg.copy.table for leg in loop.legs])
+        differ = _disagreement([leg.copy.table for leg in loop.legs])
         table = loop.finish()
         summary = recorder.summary()
         measures = {
             **_measures(config.params, recorder, loop.world.work),
             "legs_differ": differ,
-            "unseen_share": watch.unseen(),
-            "states_visited": int((watch.visits > 0).sum()),
+            "unvisited_share": statistics.unvisited_share(),
+            "states_visited": int((statistics.visits > 0).sum()),
             "commands_sha256": summary["commands_sha256"],
             "senses_sha256": summary["senses_sha256"],
             "table_sha256": table.sha256(),
             "cpu_s": round(time.process_time() - began, 2),
         }
-        _keep(trial, folder, measures, recorder, watch, table)
+        _save(trial, folder, measures, recorder, statistics, table)
     finally:
         loop.close()
     return True
 
 
-def _keep(
+def _save(
     trial: Trial,
     folder: Path,
     measures: dict[str, Any],
     recorder: RunStatistics,
-    watch: _Watch,
+    statistics: _TickStatistics,
     table: Table,
 ) -> None:
     """Write all files of a trial, or none."""
     folder.mkdir(parents=True, exist_ok=True)
     draft = Path(tempfile.mkdtemp(prefix=".draft_", dir=folder))
     try:
-        rows, shown = recorder.body_rows(), SHOWN * trial.params.gait.ticks
+        rows, shown = recorder.body_rows(), TRACED_CYCLES * trial.params.gait.ticks
         traces = np.frombuffer(recorder.traces).reshape(-1, len(TRACE))[:, 2:4]
         columns = {
             name: np.array([getattr(row, name) for row in rows], dtype=float) for name in COLUMNS
         }
         few = min(shown, len(traces))
-        columns["shown"] = np.stack([traces[:few], traces[len(traces) - few :]])
-        columns["footfall"] = watch.footfall(trial.cycles)
+        columns["traces"] = np.stack([traces[:few], traces[len(traces) - few :]])
+        columns["footfall"] = statistics.footfall(trial.cycles)
         np.savez_compressed(draft / CYCLES, allow_pickle=False, **columns)
         if trial.policy != CENTRAL:
             save_table(draft / TABLE, table, trial.params, trial.seed)
@@ -305,7 +305,7 @@ def _keep(
 
 
 def _measures(params: Params, recorder: RunStatistics, work: float) -> dict[str, Any]:
-    """Return what is told of a run."""
+    """Return the scalar measures of a run."""
     rows = recorder.body_rows()
     traces = np.frombuffer(recorder.traces).reshape(-1, len(TRACE))
     window = min(WINDOW, len(rows)) * params.gait.ticks
@@ -321,7 +321,7 @@ def _measures(params: Params, recorder: RunStatistics, work: float) -> dict[str,
         "falls": summary["falls"],
         "first_fall": summary["first_fall"],
         "outside": _share(out),
-        "outside_settled": _share(out[SETTLING:]),
+        "outside_settled": _share(out[SETTLING_CYCLES:]),
         "distance_m": way / len(rows),
         "distance_last_m": sum(r.distance_m or 0.0 for r in late) / len(late),
         "reward": sum(r.reward for r in rows) / len(rows),
@@ -346,7 +346,7 @@ def _measures(params: Params, recorder: RunStatistics, work: float) -> dict[str,
 
 
 def _drift(rows: Sequence[Row]) -> float:
-    """Return the size of the mean change of heading in a cycle, rad."""
+    """Return the absolute value of the mean change of heading per cycle, rad."""
     return abs(sum(r.turn_rad or 0.0 for r in rows)) / len(rows)
 
 
@@ -354,11 +354,11 @@ def _share(bits: Sequence[bool]) -> float | None:
     return sum(bits) / len(bits) if bits else None
 
 
-def _differ(tables: Sequence[Table]) -> float | None:
-    """Return the mean share, over pairs of legs, of well known states with another best action."""
+def _disagreement(tables: Sequence[Table]) -> float | None:
+    """Return the mean share of often visited states in which two legs differ in the best action."""
     shares = []
     for one, other in itertools.combinations(tables, 2):
-        known = (visits_of_states(one) >= KNOWN) & (visits_of_states(other) >= KNOWN)
+        known = (visits_of_states(one) >= MIN_VISITS) & (visits_of_states(other) >= MIN_VISITS)
         if known.any():
             shape = (one.states, one.actions)
             best = [table.values.reshape(shape)[known].argmax(axis=1) for table in (one, other)]

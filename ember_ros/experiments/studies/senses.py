@@ -87,7 +87,7 @@ def text(found: Found) -> list[str]:
                 runs = words.runs_of(found, coverage=body, learner=learner, height=height)
                 cells.append(words.spread(words.column(runs, "states_visited"), ".0f"))
                 cells.append(
-                    words.spread([100 * v for v in words.column(runs, "unseen_share")], ".2f")
+                    words.spread([100 * v for v in words.column(runs, "unvisited_share")], ".2f")
                 )
             coverage.append(cells)
     return [
@@ -123,7 +123,7 @@ def draw(found: Found, file: Path) -> None:
     """Draw reward and falls without each sense, and the share of what is new."""
     reward: dict[str, dict[str, list[float]]] = {}
     falls: dict[str, dict[str, list[float]]] = {}
-    unseen: dict[str, dict[str, list[float]]] = {}
+    unvisited: dict[str, dict[str, list[float]]] = {}
     for body in BODIES:
         for name in WITHOUT:
             runs = words.runs_of(found, body=body, walker=f"trained, {name}")
@@ -133,12 +133,12 @@ def draw(found: Found, file: Path) -> None:
         for height in HEIGHTS:
             for body in BODIES:
                 runs = words.runs_of(found, coverage=body, learner=learner, height=height)
-                group = unseen.setdefault(f"{learner},\n{height} stop", {})
-                group[body] = [100 * value for value in words.column(runs, "unseen_share")]
+                group = unvisited.setdefault(f"{learner},\n{height} stop", {})
+                group[body] = [100 * value for value in words.column(runs, "unvisited_share")]
     figure, axes = canvas(3, 1, height=2.7)
     for axis, groups, label in zip(
         axes[:, 0],
-        (reward, falls, unseen),
+        (reward, falls, unvisited),
         ("reward a tick", plots.FALLS, "new states, % of decisions"),
         strict=True,
     ):

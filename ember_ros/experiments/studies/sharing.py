@@ -18,7 +18,7 @@ from ember_ros.experiments.study import (
     trained_arm,
     walks,
 )
-from ember_ros.experiments.trial import KNOWN, Outcome
+from ember_ros.experiments.trial import MIN_VISITS, Outcome
 from ember_ros.experiments.words import Claim, Found
 
 NEVER = 1_000_000
@@ -172,8 +172,8 @@ def text(found: Found) -> list[str]:
         f"that of a walker with trained legs; it is reached by a mean over {MEAN} cycles, and told "
         "is its middle, so that shorter times are not told apart; who never reached it counts as "
         "the whole budget. Legs differ: share of the states that two legs both visited "
-        f"{KNOWN} times in which the largest values of their tables are of different actions. That "
-        "is chance as well as specialisation.",
+        f"{MIN_VISITS} times in which the largest values of their tables are of different actions. "
+        "That is chance as well as specialisation.",
         "",
         *words.walkers(found["arms"]),
         "",

@@ -10,7 +10,7 @@ import numpy as np
 
 from ember_ros.experiments import stats, words
 from ember_ros.experiments.study import Arm, Size, Study, company, trained, walks
-from ember_ros.experiments.trial import SETTLING, WINDOW, Outcome
+from ember_ros.experiments.trial import SETTLING_CYCLES, WINDOW, Outcome
 from ember_ros.experiments.words import Claim, Found
 from ember_ros.report.figures import AMBER, BLUE, GREY, INK, canvas, save
 
@@ -75,7 +75,7 @@ def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
                 "high": high.round(5).tolist(),
                 "trend": trend.round(5).tolist(),
             }
-        found[f"{name}/traces"] = outcomes[0].shown.round(4).tolist()
+        found[f"{name}/traces"] = outcomes[0].traces.round(4).tolist()
         found[f"{name}/survival"] = stats.survival(
             [outcome.measures["first_fall"] for outcome in outcomes],
             [outcome.measures["cycles"] for outcome in outcomes],
@@ -127,7 +127,8 @@ def claims(found: Found) -> list[Claim]:
             middle = stats.quartiles(settled)[1]
             lines.append(
                 Claim(
-                    f"our target: outside in under {SLACK:.0%} of steps after the first {SETTLING}",
+                    f"our target: outside in under {SLACK:.0%} of steps after the first "
+                    f"{SETTLING_CYCLES}",
                     where,
                     f"{middle:.2%}, median over seeds",
                     words.bar(middle < SLACK, runs),
@@ -166,7 +167,8 @@ def failures(found: Found) -> list[str]:
             )
         )
     heads = ("learner", "seeds", "walking seeds", "never fell", "first fell at step", "falls")
-    return words.grid((*heads, "falls per 1000", f"outside after {SETTLING} steps, median"), lines)
+    outside = f"outside after {SETTLING_CYCLES} steps, median"
+    return words.grid((*heads, "falls per 1000", outside), lines)
 
 
 def gaits(found: Found) -> list[str]:
