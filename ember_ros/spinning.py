@@ -26,6 +26,8 @@ from typing import Any, ClassVar, Protocol, TypeVar
 
 MAX_DOMAIN = 232
 """Greatest ROS_DOMAIN_ID: greater ones give port numbers beyond those of UDP."""
+TRANSPORT_VARIABLES = ("FASTDDS_BUILTIN_TRANSPORTS", "FASTRTPS_DEFAULT_PROFILES_FILE")
+"""Environment variables by which a user selects the transports of Fast DDS."""
 SPIN_S = 0.1
 """Timeout of one spin, s: the longest time until a signal takes effect."""
 FINAL_PUSH_S = 3.0
@@ -39,7 +41,10 @@ def prepare_environment() -> None:
     """Set default environment variables before rclpy is initialised; variables that are set stay.
 
     Discovery is limited to this machine, so that two people in one lab do not drive each other's
-    robots. Without a writable home, logs go to a temporary folder.
+    robots. Messages go by UDP and not through shared memory: a process that is killed while it uses
+    Fast DDS's shared memory can leave other processes deaf, or hang them when they end
+    (eProsima/Fast-DDS issues 5053 and 5469). Without a writable home, logs go to a temporary
+    folder.
 
     Raises:
         ParameterError: ROS 2 cannot start in this environment. In some of these cases its C code
@@ -61,6 +66,8 @@ def prepare_environment() -> None:
             ) from error
     _check_middleware()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if not any(os.environ.get(name) for name in TRANSPORT_VARIABLES):
+        os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
     home = Path(os.environ.get("HOME", ""))
     if "ROS_LOG_DIR" not in os.environ and not (
         os.environ.get("HOME") and home.is_dir() and os.access(home, os.W_OK)
