@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -11,15 +12,23 @@ from rclpy.node import Node
 from cpg_node.cpg import Beats
 from ember_ros import cdr, parts, topics, wire
 from ember_ros.errors import SignalError
-from ember_ros.inbox import Inbox
+from ember_ros.inbox import Inbox, Receipt
 from ember_ros.name_lock import SingleNode
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.spinning import node_main
+from ember_ros.throttle import Throttle
 from ember_ros.worlds import legs_of
+
+JUMP_S = 0.5
+"""Wall time without a next tick after which a clock that jumps is believed, s. A world that waits
+repeats its clock in less; the clock of another simulator is not taken while this robot walks."""
 
 
 class CpgNode(SingleNode, Node):  # type: ignore[misc]
     """The central pattern generator: publishes the phase of the gait at every tick.
+
+    A clock that is repeated is answered again. A clock that does not continue the last one is
+    ignored while the ticks go on, and starts time anew when they do not.
 
     Subscribes: ``clock`` (rosgraph_msgs/Clock); for an oscillator with feedback also
     ``<leg>/joint_states`` and ``<leg>/contact`` (sensor_msgs/JointState) of all legs.
@@ -53,6 +62,8 @@ class CpgNode(SingleNode, Node):  # type: ignore[misc]
             self._senses = {leg: wire.SenseWire(leg, self._tick_ns) for leg in legs}
         sources = [f"{leg} {part}" for leg in self._senses for part in ("joints", "contact")]
         self._inbox = Inbox("clock", *sources)
+        self._last_progress = float("-inf")  # wall time of the last clock that was one tick ahead
+        self._throttle = Throttle(lambda text: self.get_logger().warning(text))
         topics.CLOCK.subscribe(self, self._on_clock)
         for leg, senses in self._senses.items():
             joints, contact = f"{leg} joints", f"{leg} contact"
@@ -75,10 +86,26 @@ class CpgNode(SingleNode, Node):  # type: ignore[misc]
         try:
             tick, value = read(data)
         except SignalError as why:
-            self.get_logger().warning(f"refused: {why}", throttle_duration_sec=5.0)
+            self._throttle.remind("refused", f"refused: {why}")
             return
-        if self._inbox.put(source, tick, value) or self._inbox.time_restarted():
+        if source == "clock" and not self._is_credible(tick):
+            self._throttle.remind("jump", f"clock: tick {tick} does not follow {self._inbox.last}")
+            return
+        receipt = self._inbox.put(source, tick, value)
+        if receipt is Receipt.NEW or self._inbox.time_restarted():
             self._publish(tick)
+        elif receipt is Receipt.REPEATED and source == "clock":
+            self._publisher.publish(self._wire.pack(self._beats.last))
+
+    def _is_credible(self, tick: int) -> bool:
+        """Return whether a clock follows the last one, or no clock has done so for a while."""
+        now, step = time.monotonic(), tick - self._inbox.last
+        if step == 0:
+            return True
+        if step != 1 and now - self._last_progress < JUMP_S:
+            return False
+        self._last_progress = now
+        return True
 
     def _publish(self, tick: int) -> None:
         """Publish the beat of a tick if all messages that it depends on have arrived."""

@@ -14,12 +14,13 @@ from rclpy.task import Future
 
 from ember_ros import topics, wire
 from ember_ros.errors import ParameterError, SignalError, UpdateError
-from ember_ros.inbox import Inbox
+from ember_ros.inbox import Inbox, Receipt
 from ember_ros.name_lock import SingleNode
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.signals import Beat, LegCommand, LegSense
 from ember_ros.spinning import FINAL_PUSH_S, node_main
 from ember_ros.throttle import Throttle
+from ember_ros.timers import create_steady_timer
 from leg_node import calls
 from leg_node.assembly import make_leg
 from leg_node.shared import UpdateBatch
@@ -27,6 +28,7 @@ from leg_node.table_file import load_table, save_table
 
 RESEND_S = 0.5  # wall time after which a leg that ends sends a push again
 WATCH_S = 0.1  # wall time between checks whether the table responds
+MAX_PATIENCE_S = 30.0  # longest wall time between two requests for the first table
 WAIT_S = 2.0  # wall time after which a leg logs that it cannot start without the table
 
 
@@ -36,7 +38,8 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
     At each tick the node receives the leg's own sensors and the phase, chooses an action and
     publishes the motor command. It senses no other leg. If the table is shared, it pushes its
     updates to the table_node and pulls the merged table after every epoch. While the table_node
-    does not respond, the leg continues alone and keeps its updates for it.
+    does not respond, the leg continues alone and keeps its updates for it. When the sensors of a
+    tick are repeated, because the world waits for a message that was lost, the command is too.
 
     Subscribes: ``<leg>/joint_states``, ``<leg>/contact`` (sensor_msgs/JointState), ``cpg/phase``
     (sensor_msgs/JointState).
@@ -99,10 +102,12 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         self._commands = wire.CommandWire(leg, params.gait.tick_ns)
         self._transitions = wire.TransitionWire(leg, params.gait.tick_ns)
         self._throttle = Throttle(lambda text: self.get_logger().warning(text))
+        self._answer: tuple[int, bytes, bytes] | None = None  # tick, transition, command
         self._start = time.monotonic()
         # What continues the tick once the table responds; None if no tick waits for the table.
         self._waiting: Callable[[], None] | None = None
         self._on_timeout: Callable[[], None] | None = None
+        self._first_pull_patience = self._patience
         self._push_wait: Callable[[], None] | None = None  # the last one that waited for a push
         self._deadline = 0.0
         self._table_absent = False
@@ -118,7 +123,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         if self.module.shared:
             self._push = topics.PUSH.call(self)
             self._pull = topics.PULL.call(self)
-            self.create_timer(WATCH_S, self._watch_table)
+            create_steady_timer(self, WATCH_S, self._watch_table)
 
     # -- inputs ------------------------------------------------------------------------------
 
@@ -152,15 +157,18 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         if self.done:
             return  # the last updates are being pushed
         last = self._inbox.last
-        if not self._inbox.put(source, tick, value):
-            if self._inbox.time_restarted():
-                self.get_logger().warning(f"time restarted at tick {tick}, the last was {last}")
-                self.module.reset(last, uuid.uuid4().hex)
+        receipt = self._inbox.put(source, tick, value)
+        if receipt is Receipt.NEW:
+            if self._waiting is None:
                 self._start_if_complete(tick)
-            else:
-                self._refuse(f"{self.module.leg} {source}: tick {tick} is over, last was {last}")
-        elif self._waiting is None:
+        elif self._inbox.time_restarted():
+            self.get_logger().warning(f"time restarted at tick {tick}, the last was {last}")
+            self.module.reset(last, uuid.uuid4().hex)
             self._start_if_complete(tick)
+        elif receipt is Receipt.OVER:
+            self._refuse(f"{self.module.leg} {source}: tick {tick} is over, last was {last}")
+        elif source == "joints" and self._answer is not None and self._answer[0] == tick:
+            self._publish_answer()  # once, although three messages are repeated
 
     def _start_if_complete(self, tick: int) -> None:
         """Start a tick if all its messages have arrived and the table is or was available."""
@@ -190,14 +198,35 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         if upto is None or self._table_absent:
             self._act(sense, beat)
             return
-        future = self._pull.call_async(calls.write_pull(self.module.copy.version, upto))
-        if self.module.copy.version is None:
-            waiting = self._wait(
-                lambda: self._act(sense, beat), lambda: self._start_tick(sense, beat)
-            )
+
+        def act() -> None:
+            self._act(sense, beat)
+
+        self._send_pull(upto, act)
+        if self.module.copy.version is not None:
+            self._wait(act)
         else:
-            waiting = self._wait(lambda: self._act(sense, beat))
-        future.add_done_callback(lambda done: self._on_pull_response(done, upto, waiting))
+            self._wait_for_first_table(upto, act)
+
+    def _send_pull(self, upto: int, then: Callable[[], None]) -> None:
+        """Request what changed up to an epoch; the response continues the tick with ``then``."""
+        future = self._pull.call_async(calls.write_pull(self.module.copy.version, upto))
+        future.add_done_callback(lambda done: self._on_pull_response(done, upto, then))
+
+    def _wait_for_first_table(self, upto: int, then: Callable[[], None]) -> None:
+        """Wait for the first table, without which the leg does not start; ask for it repeatedly.
+
+        Any of the responses is welcome, the late ones too: on a slow network all may be late.
+        """
+
+        def ask_again() -> None:
+            self._first_pull_patience = min(2.0 * self._first_pull_patience, MAX_PATIENCE_S)
+            self._throttle.remind("waiting", "waiting for the first table from the table_node")
+            self._send_pull(upto, then)
+            self._wait_for_first_table(upto, then)
+
+        self._wait(then, ask_again)
+        self._deadline = time.monotonic() + self._first_pull_patience
 
     def _on_pull_response(self, future: Future, upto: int, waiting: Callable[[], None]) -> None:
         if self._waiting is not waiting:
@@ -220,12 +249,24 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         if self._table_absent:
             self._publish(command)
         else:
-            self._push_wait = self._wait(lambda: self._publish(command))
+            self._push_wait = lambda: self._publish(command)
+            self._wait(self._push_wait)
 
     def _publish(self, command: LegCommand) -> None:
-        self._transition.publish(self._transitions.pack(self.module.transition))
-        self._command.publish(self._commands.pack(command))
+        self._answer = (
+            command.tick,
+            self._transitions.pack(self.module.transition),
+            self._commands.pack(command),
+        )
+        self._publish_answer()
         self._start_available_ticks()
+
+    def _publish_answer(self) -> None:
+        """Publish the transition and the command of the last tick."""
+        assert self._answer is not None
+        _, transition, command = self._answer
+        self._transition.publish(transition)
+        self._command.publish(command)
 
     # -- the table ---------------------------------------------------------------------------
 
@@ -252,22 +293,16 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         elif self._push_wait is not None and self._waiting is self._push_wait:
             self._resume()
 
-    def _wait(
-        self, then: Callable[[], None], on_timeout: Callable[[], None] | None = None
-    ) -> Callable[[], None]:
+    def _wait(self, then: Callable[[], None], on_timeout: Callable[[], None] | None = None) -> None:
         """Hold the tick until the table responds.
 
         Args:
-            then: continues the tick.
+            then: continues the tick, and identifies this wait.
             on_timeout: is called if the table does not respond in time; for None, the tick
                 continues without the table.
-
-        Returns:
-            ``then``, which identifies this wait.
         """
         self._waiting, self._on_timeout = then, on_timeout
         self._deadline = time.monotonic() + self._patience
-        return then
 
     def _resume(self) -> None:
         then, self._waiting = self._waiting, None
@@ -294,7 +329,6 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
             self._start_available_ticks()  # the first tick may have waited for the table
         elif time.monotonic() > self._deadline:
             if self._on_timeout is not None:
-                self._waiting = None
                 self._on_timeout()
                 return
             self._table_absent = True

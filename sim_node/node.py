@@ -21,12 +21,14 @@ from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.signals import Beat, LegCommand, Transition
 from ember_ros.spinning import node_main
 from ember_ros.throttle import Throttle
+from ember_ros.timers import create_steady_timer
 from ember_ros.worlds import World, make_world
 from sim_node.recorders import BagRecorder, RecorderLink, Timeout
 from sim_node.reports import BodyPublisher, Diagnostics, Lateness
 
 FINISHED = "summary.json"  # the last file that `ember` writes into the folder of a run
 WATCH_S = 0.05  # wall time between checks for late legs
+REPEAT_S = 0.2  # wall time after which a tick that is not complete is published again
 METADATA_S = 5.0  # minimum wall time to wait for the nodes' part of the run's metadata
 
 
@@ -36,8 +38,9 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
     In ``lockstep`` a tick ends when the phase and the commands of all legs have arrived. A leg
     that does not respond within ``patience`` becomes absent: its joints are held still, and the
     world does not wait for it until it responds again. While no leg responds, or the phase is
-    missing, the world stands still. In ``realtime`` every tick lasts its length in wall time, and a
-    leg whose command is late is held still for that tick.
+    missing, the world stands still. It publishes a tick that is not complete again, several times
+    a second, so that a lost message stops nobody for ever. In ``realtime`` every tick lasts its
+    length in wall time, and a leg whose command is late is held still for that tick.
 
     In lockstep the world also waits for a recorder node that publishes ``recorder/tick``, so that
     no message queue between the two overflows and the recorder loses nothing.
@@ -107,6 +110,10 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
         self._started = False
         self._held = False  # whether the next tick waits for the recorder
         self._since = time.monotonic()  # when the present tick was published, or first held
+        self._published = self._since  # when it was published the last time
+        # What the last tick was made of: messages that repeat it are not refused.
+        self._last_beat: Beat | None = None
+        self._last_commands: dict[str, LegCommand] = {}
         self._throttle = Throttle(lambda text: self.get_logger().warning(text))
 
         self._clock_publisher = topics.CLOCK.publish(self)
@@ -131,9 +138,9 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
         if self._last == 0:
             self.done = True
         if self._realtime:
-            self.create_timer(params.gait.tick_s, self._on_realtime_tick)
+            create_steady_timer(self, params.gait.tick_s, self._on_realtime_tick)
         else:
-            self.create_timer(WATCH_S, self._on_watch)
+            create_steady_timer(self, WATCH_S, self._on_watch)
 
     @property
     def tick(self) -> int:
@@ -155,6 +162,8 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
         except SignalError as why:
             self._refuse(why)
             return
+        if beat == self._last_beat:
+            return
         if beat.tick != self._tick:
             self._refuse(f"cpg/phase: tick {beat.tick}, but the present tick is {self._tick}")
         elif self._started:
@@ -171,6 +180,8 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
                 command = reader.read(data)
             except SignalError as why:
                 self._refuse(why)
+                return
+            if command == self._last_commands.get(leg):
                 return
             if command.tick > self._tick:
                 self._refuse(f"{where}: tick {command.tick}, but the present tick is {self._tick}")
@@ -222,10 +233,18 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             self._next()
 
     def _publish(self) -> None:
-        """Publish all sensors of the present tick, and the clock."""
-        self._beat = None
-        self._commands.clear()
+        """Publish all sensors of the present tick, and the clock, for the first time."""
+        self._last_beat, self._last_commands = self._beat, self._commands
+        self._beat, self._commands = None, {}
         self._transitions.clear()
+        self._publish_senses()
+        self._body.publish(self._tick, self.world.body())
+        if self._tick % self._ticks == 0:
+            self._diagnose()
+
+    def _publish_senses(self) -> None:
+        """Publish the sensors of the legs at the present tick, and the clock."""
+        self._published = time.monotonic()
         for senses, joints, contact, sense in zip(
             self._senses, self._joints, self._contacts, self.world.observe(), strict=True
         ):
@@ -233,9 +252,11 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             joints.publish(joints_data)
             contact.publish(contact_data)
         self._clock_publisher.publish(cdr.pack_clock(self._tick * self._tick_ns))
-        self._body.publish(self._tick, self.world.body())
-        if self._tick % self._ticks == 0:
-            self._diagnose()
+
+    def _repeat(self) -> None:
+        """Publish the present tick again if it is not complete for a while."""
+        if time.monotonic() - self._published >= REPEAT_S:
+            self._publish_senses()
 
     def _step_if_complete(self) -> None:
         """Step if the beat and the commands of all legs that are not absent have arrived."""
@@ -327,6 +348,8 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             self._recorder_link.tick = None  # the recorder has ended: do not wait for it
             self._next()
             return
+        if not self._held:
+            self._repeat()
         if time.monotonic() - self._since < self._patience:
             return
         if self._held:
@@ -363,6 +386,7 @@ class SimNode(SingleNode, Node):  # type: ignore[misc]
             self._start_if_connected()
         elif self._beat is None:
             self._remind_of_beat()
+            self._repeat()
         else:
             self._absent = {leg for leg in self.legs if leg not in self._commands}
             self._lateness.count(self._absent)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ember_ros.inbox import KEPT, Inbox
+from ember_ros.inbox import KEPT, Inbox, Receipt
 
 SOURCES = ("joints", "contact", "phase")
 few = settings(max_examples=100, deadline=None, derandomize=True)
@@ -20,7 +20,7 @@ def value(source: str, tick: int) -> str:
 def hear(inbox: Inbox, source: str, tick: int) -> list[tuple[str, ...]]:
     """Put what a source says, as a leg does, and return the ticks that became complete."""
     done = []
-    if inbox.put(source, tick, value(source, tick)):
+    if inbox.put(source, tick, value(source, tick)) is Receipt.NEW:
         while (values := inbox.pop(inbox.last + 1)) is not None:
             done.append(values)
     return done
@@ -88,14 +88,15 @@ def test_an_incomplete_tick_is_not_there() -> None:
 
 
 def test_what_is_stale_is_refused() -> None:
-    """A value of a tick that is over is not kept, and says so."""
+    """A value of a tick that is over is not kept; that of the last tick is told from others."""
     inbox = Inbox(*SOURCES)
     for source in SOURCES:
-        assert inbox.put(source, 3, 0)
+        assert inbox.put(source, 3, 0) is Receipt.NEW
     inbox.pop(3)
-    assert not inbox.put("joints", 3, 0)
-    assert not inbox.put("joints", 0, 0)
-    assert inbox.put("joints", 4, 0)
+    assert inbox.put("joints", 3, 0) is Receipt.REPEATED
+    assert inbox.put("joints", 3, 1) is Receipt.OVER
+    assert inbox.put("joints", 0, 0) is Receipt.OVER
+    assert inbox.put("joints", 4, 0) is Receipt.NEW
     assert inbox.pending("joints") == [4]
 
 
@@ -138,6 +139,16 @@ def test_memory_is_bounded() -> None:
     assert inbox.pending("joints") == list(range(10_000 - KEPT, 10_000))
 
 
+def test_wrong_stamps_do_not_push_out_a_tick_that_is_nearly_complete() -> None:
+    """A burst of far future stamps from one source, while the tick cannot be used yet."""
+    inbox = Inbox(*SOURCES)
+    for source in SOURCES:
+        inbox.put(source, 0, value(source, 0))
+    for tick in range(1000, 1000 + 3 * KEPT):
+        inbox.put("phase", tick, "bad")
+    assert inbox.pop(0) == complete(0)
+
+
 def through(inbox: Inbox, *ticks: int) -> None:
     """Hear all of some ticks."""
     for tick in ticks:
@@ -153,7 +164,7 @@ def test_a_new_world_begins_anew() -> None:
     assert not inbox.time_restarted()
     for source in SOURCES:
         assert not inbox.time_restarted()
-        assert not inbox.put(source, 0, value(source, 0))
+        assert inbox.put(source, 0, value(source, 0)) is Receipt.OVER
     assert inbox.time_restarted()
     assert inbox.last < 0
     assert not inbox.time_restarted()
@@ -180,6 +191,26 @@ def test_late_repetitions_are_no_new_world(late: tuple[int, int, int]) -> None:
         inbox.put(source, tick, "again")
     assert not inbox.time_restarted()
     assert inbox.last == 41
+
+
+def test_the_last_tick_repeated_whole_is_no_new_world() -> None:
+    """A world that waits repeats its tick; nothing of it is used again."""
+    inbox = Inbox(*SOURCES)
+    through(inbox, 0)
+    for source in SOURCES:
+        assert inbox.put(source, 0, value(source, 0)) is Receipt.REPEATED
+    assert not inbox.time_restarted()
+    assert inbox.pop(0) is None
+
+
+def test_a_new_world_may_begin_at_the_tick_where_the_old_one_ended() -> None:
+    """Both at tick 0: other values are of another world."""
+    inbox = Inbox(*SOURCES)
+    through(inbox, 0)
+    for source in SOURCES:
+        inbox.put(source, 0, "phase 0" if source == "phase" else "other")
+    assert inbox.time_restarted()
+    assert inbox.pop(0) == ("other", "other", "phase 0")
 
 
 def test_old_repetitions_do_not_add_up_to_a_new_world() -> None:

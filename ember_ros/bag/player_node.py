@@ -19,6 +19,7 @@ from ember_ros.bag.reader import Bag, Raw
 from ember_ros.bag.run_writer import absolute
 from ember_ros.errors import BagError
 from ember_ros.name_lock import NameLock, NameTakenError
+from ember_ros.timers import create_steady_timer
 
 PAUSE = topics.Service("play/pause", "std_srvs/srv/SetBool")
 MAX_PER_TURN = 256
@@ -131,7 +132,7 @@ class PlayerNode(Node):  # type: ignore[misc]
         self._last = time.monotonic()
         PAUSE.serve(self, self._pause)
         tick_s = bag.params.gait.tick_s
-        self.create_timer(min(max(tick_s / rate / 2, SHORTEST_S), LONGEST_S), self._turn)
+        create_steady_timer(self, min(max(tick_s / rate / 2, SHORTEST_S), LONGEST_S), self._turn)
 
     def _lock(self, topic: str) -> NameLock:
         """Lock the name of a topic's publisher, so that no robot starts beside the recorded one."""

@@ -22,6 +22,7 @@ from ember_ros.bag.writer_process import WriterProcess
 from ember_ros.errors import BagError, ParameterError
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.spinning import node_main
+from ember_ros.timers import create_steady_timer
 
 POLL_S = 0.1
 """Wall time between two polls of the graph and of the metadata clients."""
@@ -63,7 +64,7 @@ class RecorderNode(Node):  # type: ignore[misc]
         if not self._all:
             self._add_robot(self.get_namespace().strip("/"))
         self._logged = time.monotonic()
-        self._poll_timer = self.create_timer(POLL_S, self._poll)
+        self._poll_timer = create_steady_timer(self, POLL_S, self._poll)
 
     def _add_robot(self, namespace: str) -> None:
         self._robots[namespace] = RobotRecorder(self, self._writer, namespace)
