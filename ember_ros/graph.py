@@ -66,6 +66,7 @@ def node_options(
             "stage": config.stage,
             "table": str(config.table) if config.table else "",
             "save": str(out / "table.npz") if out else "",
+            "fresh": True,  # a run replaces what is in its folder, or was refused before
             "seed": config.seed,
         },
         "cpg_node": {"world": config.world},

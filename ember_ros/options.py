@@ -48,6 +48,12 @@ OPTIONS = {
     "save": Option(
         "", "file for the table, written on exit and by table/save; '' for none", path=True
     ),
+    "fresh": Option(False, "start from `table`, even if the file `save` exists"),
+    "durability": Option(
+        "normal",
+        "normal: an acknowledged push survives a killed process; full: a power failure too",
+        ("normal", "full"),
+    ),
 }
 """All options by name."""
 MINIMA = {

@@ -40,7 +40,7 @@ from ember_ros.report.run_statistics import (
 from ember_ros.run_config import RunConfig
 from ember_ros.spinning import prepare_environment
 from ember_ros.versions import provenance, versions
-from leg_node.journal import ENDINGS
+from leg_node.store import ENDINGS
 from leg_node.table import Table
 from leg_node.table_file import load_table, save_table
 

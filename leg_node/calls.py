@@ -10,14 +10,19 @@ from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 
-from ember_ros.errors import UpdateError
+from ember_ros.errors import UpdateError, shown
 from ember_ros.signals import TDUpdate
 from leg_node.shared import Changes, UpdateBatch
-from leg_node.table import as_floats, as_ints
+from leg_node.table import Table, as_floats, as_ints
 
+NOT_STORED = "not stored: "
+"""How the reason of a push begins that was refused only for now, and may be sent again."""
+MAX_NAMES = 16
+"""Names in one ``table/pull``."""
 _INT = ParameterType.PARAMETER_INTEGER
 _STR = ParameterType.PARAMETER_STRING
 _INTS = ParameterType.PARAMETER_INTEGER_ARRAY
@@ -74,7 +79,7 @@ def read_push(request: SetParametersAtomically.Request) -> UpdateBatch:
         name, kind = parameter.name, parameter.value.type
         if name not in _PUSH or name in fields:
             raise UpdateError(
-                f"push: field {name!r} is unknown or repeated; {', '.join(_PUSH)}, each once, "
+                f"push: field {shown(name)} is unknown or repeated; {', '.join(_PUSH)}, each once, "
                 "would be right"
             )
         if kind != _PUSH[name]:
@@ -112,6 +117,7 @@ def write_pull(since: int | None, upto: int) -> GetParameters.Request:
             "cells",
             "values",
             "visits",
+            "cells_sha256",
         ]
     )
 
@@ -120,8 +126,13 @@ def read_pull(request: GetParameters.Request) -> tuple[int | None, int | None, l
     """Return ``since``, ``upto`` (None where missing) and the requested names, in order.
 
     Raises:
-        UpdateError: a name is unknown to the service, or a number is beyond 64 bits.
+        UpdateError: a name is unknown to the service, repeated, one of too many, or a number is
+            beyond 64 bits.
     """
+    if len(request.names) > MAX_NAMES or len(set(request.names)) < len(request.names):
+        raise UpdateError(
+            f"pull: {len(request.names)} names; up to {MAX_NAMES}, each once, would be right"
+        )
     bounds: dict[str, int] = {}
     wanted: list[str] = []
     for name in request.names:
@@ -130,23 +141,24 @@ def read_pull(request: GetParameters.Request) -> tuple[int | None, int | None, l
             bounds[key] = int(number)
             if not -(2**63) <= bounds[key] < 2**63:
                 raise UpdateError(f"pull: {name} is not a 64-bit number")
-        elif name not in ("version", "cells", "values", "visits", "about"):
+        elif name not in ("version", "cells", "values", "visits", "cells_sha256", "about"):
             raise UpdateError(
-                f"pull: {name!r} is unknown; since=VERSION, upto=EPOCH, version, cells, "
-                "values, visits, about would be right"
+                f"pull: {shown(name)} is unknown; since=VERSION, upto=EPOCH, version, cells, "
+                "values, visits, cells_sha256, about would be right"
             )
         wanted.append(name)
     return bounds.get("since"), bounds.get("upto"), wanted
 
 
 def write_pull_response(
-    wanted: Sequence[str], changes: Changes, about: Callable[[], str]
+    wanted: Sequence[str], changes: Changes, cells_sha256: str, about: Callable[[], str]
 ) -> list[ParameterValue]:
     """Return the response of ``table/pull``: one value for each requested name, in order.
 
     Args:
         wanted: the requested names.
         changes: of the table.
+        cells_sha256: meaning of the table's cells (``params.cells_sha256``).
         about: returns the JSON text with seed and parameters.
     """
     out = []
@@ -162,22 +174,41 @@ def write_pull_response(
             numbers = changes.cells if key == "cells" else changes.visits
             out.append(_value(_INTS, array("q", numbers.tobytes())))
         else:
-            out.append(_value(_STR, about()))
+            out.append(_value(_STR, cells_sha256 if key == "cells_sha256" else about()))
     return out
 
 
-def read_changes(response: GetParameters.Response) -> Changes:
+def read_changes(response: GetParameters.Response, table: Table, cells_sha256: str) -> Changes:
     """Return the changes in the response to a ``write_pull`` request.
 
+    Args:
+        response: the response.
+        table: the table that the changes are for.
+        cells_sha256: meaning of its cells.
+
     Raises:
-        UpdateError: the response is empty because the table refused the request.
+        UpdateError: the table refused the request, its cells have another meaning, or the changes
+            do not fit the table.
     """
-    if len(response.values) != 6:
-        raise UpdateError("pull: the table node refused; its log says why")
-    version, cells, values, visits = response.values[2:]
-    return Changes(
+    if len(response.values) != 7:
+        raise UpdateError("pull: the table_node refused; its log gives the reason")
+    version, cells, values, visits, meaning = response.values[2:]
+    if meaning.string_value != cells_sha256:
+        raise UpdateError(
+            f"pull: the shared table was learned with other parameters (cells "
+            f"{shown(meaning.string_value[:12])}..., here {cells_sha256[:12]}...); give the leg "
+            "and the table the same parameter file"
+        )
+    changes = Changes(
         version.integer_value,
         as_ints(cells.integer_array_value),
         as_floats(values.double_array_value),
         as_ints(visits.integer_array_value),
     )
+    if not len(changes.cells) == len(changes.values) == len(changes.visits):
+        raise UpdateError("pull: cells, values and visits differ in length")
+    if len(changes.cells) and not 0 <= changes.cells.min() <= changes.cells.max() < len(table):
+        raise UpdateError(f"pull: there are cells outside 0 to {len(table) - 1}")
+    if not np.isfinite(changes.values).all() or (changes.visits < 0).any():
+        raise UpdateError("pull: there are values that are not finite, or negative visits")
+    return changes

@@ -16,6 +16,7 @@ from ember_ros import topics, wire
 from ember_ros.errors import ParameterError, SignalError, UpdateError
 from ember_ros.inbox import Inbox, Receipt
 from ember_ros.name_lock import SingleNode
+from ember_ros.params import cells_sha256
 from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.signals import Beat, LegCommand, LegSense
 from ember_ros.spinning import FINAL_PUSH_S, node_main
@@ -96,6 +97,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         self.refused = 0
         leg = self.module.leg
         self.lock_name(topics.command(leg))
+        self._cells_sha256 = cells_sha256(params)
         self._inbox = Inbox("joints", "contact", "phase")
         self._beats = wire.BeatWire(params.gait.tick_ns)
         self._senses = wire.SenseWire(leg, params.gait.tick_ns)
@@ -231,11 +233,16 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
     def _on_pull_response(self, future: Future, upto: int, waiting: Callable[[], None]) -> None:
         if self._waiting is not waiting:
             return  # too late: the tick has continued without it
+        copy = self.module.copy
         try:
-            self.module.copy.apply(calls.read_changes(future.result()), upto)
+            changes = calls.read_changes(future.result(), copy.table, self._cells_sha256)
         except UpdateError as why:
             self._refuse(why)
-            self.module.copy.skip_sync(upto)
+            if copy.version is None:
+                return  # a leg does not start without the shared table; it asks again
+            copy.skip_sync(upto)
+        else:
+            copy.apply(changes, upto)
         self._resume()
 
     def _act(self, sense: LegSense, beat: Beat) -> None:
@@ -285,6 +292,12 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         result = future.result().result
         if not result.successful:
             self._refuse(f"the table refused a push: {result.reason}")
+            if result.reason.startswith(calls.NOT_STORED):
+                if self.done:
+                    self._pushing = push  # `finish` sends it again after a while
+                else:
+                    self._leave_table()
+                return
         # A refused push is dropped: the table would refuse it again.
         self.module.copy.acknowledged(push)
         self._mark_table_present()
@@ -331,14 +344,19 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
             if self._on_timeout is not None:
                 self._on_timeout()
                 return
-            self._table_absent = True
-            self._pushing = None
             self._throttle.log(
                 "table",
                 f"the table does not respond within {self._patience} s: "
                 "continuing without it, keeping the updates for it",
             )
-            self._resume()
+            self._leave_table()
+
+    def _leave_table(self) -> None:
+        """Continue the tick without the table; the updates are kept for it."""
+        self._table_absent = True
+        self._pushing = None
+        self._deadline = time.monotonic() + self._patience
+        self._resume()
 
     def _probe(self) -> None:
         """Send a request to a table that did not respond; no tick waits for its response."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,8 +21,8 @@ from ember_ros.spinning import node_main
 from ember_ros.throttle import Throttle
 from leg_node import calls
 from leg_node.assembly import empty_table, numbers_of
-from leg_node.journal import MAX_BATCHES, Journal, from_json, to_json
-from leg_node.shared import SharedTable
+from leg_node.durable_table import DurableTable
+from leg_node.store import Stored, TableStore
 from leg_node.table import Table
 from leg_node.table_file import describe_differences, load_table, save_table
 
@@ -33,25 +32,27 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
 
     The legs push their updates of an epoch and pull the merged table. The order in which pushes
     arrive changes no bit of the result. The node never waits for a leg. With ``save`` set, each
-    push is written to a journal before it is acknowledged, so a crash loses no acknowledged push;
-    the table itself is written when the node ends and by ``table/save``.
+    push is written to a database beside that file before it is acknowledged, so a crash loses no
+    acknowledged push; the table itself is written when the node ends and by ``table/save``. A file
+    ``save`` that exists is continued, whatever ``table`` says, unless ``fresh`` is true.
 
     Services: ``table/push`` (rcl_interfaces/SetParametersAtomically),
     ``table/pull`` (rcl_interfaces/GetParameters), ``table/save`` (std_srvs/Trigger),
     ``table/learning`` (std_srvs/SetBool).
     Parameters: ``gait.*``, ``leg.*``, ``robot.*``, ``parts.*``, ``state.*``, ``train.*``,
-    ``walk.*``; ``stage``, ``table``, ``save``, ``seed``.
+    ``walk.*``; ``stage``, ``table``, ``save``, ``fresh``, ``durability``, ``seed``.
     """
 
     GROUPS = ("gait", "leg", "robot", "parts", "state", "train", "walk")
-    OPTIONS = ("stage", "table", "save", "seed")
+    OPTIONS = ("stage", "table", "save", "fresh", "durability", "seed")
 
     def __init__(self, **kwargs: Any) -> None:
         """Make the node; ``kwargs`` go to rclpy's ``Node``.
 
         Raises:
             ParameterError: a parameter is unknown or out of range.
-            TableError: the file ``table`` cannot be used.
+            TableError: the file ``table`` or ``save`` cannot be used, or the database beside
+                ``save`` belongs to another process.
             NameTakenError: there is another table in this namespace.
         """
         super().__init__(
@@ -63,28 +64,33 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
         self.lock_name(topics.PUSH)  # before any file is touched: another table may own them
         self._save = Path(options["save"]) if options["save"] else None
         self._seed = options["seed"]
-        self._numbers = numbers_of(params, options["stage"])
-        self._journal = Journal(self._save) if self._save else None
-        self._first_version = time.time_ns()  # greater than all versions of an earlier process
-        self._generation = 0
-        restored = self._recover()
-        self._has_history = restored or bool(options["table"])
-        if not restored:
-            file = Path(options["table"]) if options["table"] else None
-            if file is None and self._save is not None and self._save.exists():
-                file = self._save  # never overwrite a learnt table with an empty one
-                self._has_history = True
-                self.get_logger().warning(f"continuing from {file}, which exists already")
-            table, about = load_table(file, params) if file else (empty_table(params), {})
-            if file:
-                differences = describe_differences(file, about, params, self.GROUPS)
-                if differences is not None:
-                    self.get_logger().warning(differences)
-            self.shared = self._shared_table(table)
-        if self._journal:
-            self._snapshot()
-        else:
-            self.get_logger().info("the table will not be saved; -p save:=FILE.npz saves it")
+        numbers = numbers_of(params, options["stage"])
+        cells = cells_sha256(params)
+        self._store: TableStore | None = None
+        self._loaded = False  # whether the table was read from a file
+        if self._save is not None:
+            self._store = TableStore(self._save, cells, options["durability"])
+        try:
+            start = Path(options["table"]) if options["table"] else None
+            stored = self._load_store(options["fresh"])
+            table = stored.table if stored else self._load_table(start, options["fresh"])
+            self._has_history = stored is not None or self._loaded
+            self.shared = DurableTable(
+                table,
+                legs=len(params.robot.legs),
+                cells=cells,
+                rate=numbers.rate,
+                sync_every=numbers.sync_every,
+                store=self._store,
+            )
+            if stored is not None:
+                self.shared.resume(stored)
+            elif self._store is None:
+                self.get_logger().info("the table will not be saved; -p save:=FILE.npz saves it")
+            self.shared.checkpoint()
+        except BaseException:
+            self._close_store()
+            raise
         self.refused = 0
         self._throttle = Throttle(lambda text: self.get_logger().warning(text))
         topics.PUSH.serve(self, self._on_push)
@@ -92,63 +98,56 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
         topics.SAVE.serve(self, self._on_save)
         topics.LEARNING.serve(self, self._on_learning)
 
-    # -- durability --------------------------------------------------------------------------
+    # -- start -------------------------------------------------------------------------------
 
-    def _shared_table(self, table: Table) -> SharedTable:
-        return SharedTable(
-            table,
-            legs=len(self._params.robot.legs),
-            cells=cells_sha256(self._params),
-            rate=self._numbers.rate,
-            version=self._first_version,
-        )
-
-    def _recover(self) -> bool:
-        """Restore the table of an earlier process that was killed and left its journal.
-
-        Returns:
-            False if there is no journal.
+    def _load_store(self, fresh: bool) -> Stored | None:
+        """Return what an earlier process left that was killed; None if there is nothing.
 
         Raises:
-            TableError: there is a journal, but its snapshot cannot be used.
+            TableError: the database cannot be used, or a new table is to begin beside it.
         """
-        if self._save is None or self._journal is None or not self._journal.file.exists():
-            return False
-        try:
-            table, about = load_table(self._journal.snapshot, self._params)
-            state = about["shared"]
-        except (TableError, KeyError) as why:
+        if self._store is None:
+            return None
+        empty = empty_table(self._params)
+        stored = self._store.load(empty.states, empty.actions)
+        if stored is None:
+            return None
+        if fresh:
             raise TableError(
-                f"{self._journal.file} is the journal of a table_node that was killed, but its "
-                f"snapshot cannot be used ({why}); move both files away to start with a new table"
-            ) from None
-        self.shared = self._shared_table(table)
-        self._generation = state["generation"]
-        self.shared.restore(
-            {int(leg): runs for leg, runs in state["done"].items()},
-            [from_json(push) for push in state["pending"]],
-        )
-        later = self._journal.read(self._generation)
-        for push in later:
-            self.shared.push(push)
+                f"{self._store.file} holds what a table_node that was killed had learned; start "
+                "without fresh to continue it, or move it away"
+            )
         self.get_logger().warning(
-            f"recovered after a crash: {self._journal.snapshot} and {len(later)} later pushes; "
+            f"recovered after a crash: {self._store.file} with {len(stored.pushes)} later pushes; "
             "the parameter table is ignored"
         )
-        return True
+        return stored
 
-    def _snapshot(self) -> None:
-        """Write the table and the pushes not merged yet, and start a new journal."""
-        assert self._journal is not None
-        self._generation += 1
-        state = {
-            "generation": self._generation,
-            "done": self.shared.done(),
-            "pending": [to_json(push) for push in self.shared.pending()],
-        }
-        notes = {"shared": state}
-        save_table(self._journal.snapshot, self.shared.table, self._params, self._seed, notes)
-        self._journal.start(self._generation)
+    def _load_table(self, start: Path | None, fresh: bool) -> Table:
+        """Return the table to start from: an existing file ``save`` before ``table``.
+
+        Raises:
+            TableError: a file cannot be used.
+        """
+        file = start
+        if self._save is not None and self._save.exists() and not fresh:
+            file = self._save  # never overwrite what was learned
+            ignored = f"; the parameter table = {start} is ignored" if start else ""
+            self.get_logger().warning(
+                f"continuing from {file}, which exists already{ignored}; -p fresh:=true starts anew"
+            )
+        self._loaded = file is not None
+        if file is None:
+            return empty_table(self._params)
+        table, about = load_table(file, self._params)
+        differences = describe_differences(file, about, self._params, self.GROUPS)
+        if differences is not None:
+            self.get_logger().warning(differences)
+        return table
+
+    def _close_store(self) -> None:
+        if self._store is not None:
+            self._store.close()
 
     # -- services ----------------------------------------------------------------------------
 
@@ -166,11 +165,10 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
         try:
             push = calls.read_push(request)
             is_new = self.shared.push(push)
-            if is_new and self._journal and self.shared.learning:
-                self._journal.add(push)
-                if self._journal.pushes >= MAX_BATCHES:
-                    self._snapshot()
-        except EmberError as why:
+        except TableError as why:
+            response.result.successful = False
+            response.result.reason = calls.NOT_STORED + self._refuse(why)
+        except UpdateError as why:
             response.result.successful = False
             response.result.reason = self._refuse(why)
         else:
@@ -183,7 +181,9 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
     ) -> GetParameters.Response:
         try:
             since, upto, wanted = calls.read_pull(request)
-            if since is not None and 0 <= since < self._first_version and not self._has_history:
+            if since is not None and since < 0:
+                since = None
+            if since is not None and not self.shared.is_own(since) and not self._has_history:
                 raise UpdateError(
                     f"pull: version {since} belongs to an earlier table_node; this one was started "
                     "without its file and does not overwrite what the leg has learnt"
@@ -192,7 +192,9 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
             self._refuse(why)
             return response  # empty: this service type has no other way to refuse
         changes = self.shared.pull(since, upto)
-        response.values = calls.write_pull_response(wanted, changes, self._about)
+        response.values = calls.write_pull_response(
+            wanted, changes, cells_sha256(self._params), self._about
+        )
         return response
 
     def _about(self) -> str:
@@ -238,15 +240,14 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
     def finish(self, spin: Callable[[], None]) -> None:
         """Merge all pushes and write the table."""
         self.shared.merge()
-        if self._journal is not None:
+        if self._store is not None:
             sha = self.save()
-            self._journal.remove()
+            self._store.remove()
             self.get_logger().info(f"table {sha[:12]} is in {self._save}")
 
     def destroy_node(self) -> None:
-        """Destroy the node; the snapshot and the journal stay unless ``finish`` was called."""
-        if self._journal is not None:
-            self._journal.close()
+        """Destroy the node; the database stays unless ``finish`` was called."""
+        self._close_store()
         super().destroy_node()
 
 

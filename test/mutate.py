@@ -44,12 +44,14 @@ from ember_ros.bag.run_writer import RunWriter
 from ember_ros.bag.storage import INFORMATION, METADATA, BagOptions, McapWriter
 from ember_ros.errors import EmberError
 from ember_ros.loop import Loop
-from ember_ros.params import Params, params_sha256, replace
+from ember_ros.params import Params, cells_sha256, params_sha256, replace
 from ember_ros.params_file import dump_params, load_params
 from ember_ros.run_config import RunConfig
+from ember_ros.signals import TDUpdate
 from leg_node.assembly import empty_table
-from leg_node.journal import Journal
+from leg_node.durable_table import DurableTable
 from leg_node.shared import UpdateBatch
+from leg_node.store import TableStore
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
 from support.configs import TINY as PARAMS
@@ -90,11 +92,11 @@ def make_corpus(folder: Path) -> None:
     save_table(folder / "table.npz", table, PARAMS, seed=3)
     (folder / "params.yaml").write_text(dump_params(PARAMS))
     loop.close()
-    journal = Journal(folder / "table.npz")
-    journal.start(1)
+    store = TableStore(folder / "table.npz", cells_sha256(PARAMS))
+    store.checkpoint(table, [])
     for n in range(9):
-        journal.add(UpdateBatch(0, "run", n, "0" * 64, ()))
-    journal.close()
+        store.add(UpdateBatch(0, "run", n, cells_sha256(PARAMS), (TDUpdate(n, n, 0.5),)))
+    store.close()
     (folder / "sqlite").mkdir()
     in_sqlite(folder / "bag", folder / "sqlite")
 
@@ -646,7 +648,48 @@ def change_sqlite(file: Path, rng: Rng) -> None:
     return None
 
 
+def change_store(file: Path, rng: Rng) -> None:
+    """Change the database of a table: its bytes, or what is in its tables."""
+    if rng.random() < 0.5:
+        change_file(file, rng)
+        return
+    with contextlib.closing(sqlite3.connect(file)) as database:
+        lies = ("NULL", "-1", "'x'", "zeroblob(7)", "zeroblob(1000000)", "2.5", "1 << 62")
+        table, columns = rng.choice(
+            [
+                ("push", ("leg", "run", "epoch", "cells_sha256", "ticks", "cells", "targets")),
+                ("run", ("leg", "run", "epoch")),
+                ("checkpoint", ("states", "actions", "cells_sha256", "table_sha256", "contents")),
+            ]
+        )
+        with contextlib.suppress(sqlite3.Error):
+            database.execute(f"UPDATE {table} SET {rng.choice(columns)} = {rng.choice(lies)}")
+        if rng.random() < 0.2:
+            with contextlib.suppress(sqlite3.Error):
+                database.executescript(rng.choice(SQL_LIES))
+        database.commit()
+
+
 # -- readers -------------------------------------------------------------------------------------
+
+
+def read_store(file: Path) -> None:
+    """Open the database of a table, and take its pushes up as the table_node does."""
+    store = TableStore(file.with_suffix(""), cells_sha256(PARAMS))
+    try:
+        empty = empty_table(PARAMS)
+        stored = store.load(empty.states, empty.actions)
+        if stored is not None:
+            DurableTable(
+                stored.table,
+                legs=len(PARAMS.robot.legs),
+                cells=cells_sha256(PARAMS),
+                rate=PARAMS.walk.rate,
+                sync_every=PARAMS.walk.sync_every,
+                store=store,
+            ).resume(stored)
+    finally:
+        store.close()
 
 
 def read_bag(path: Path) -> None:
@@ -722,9 +765,7 @@ def with_files(change: Callable[[Path, Rng], None]) -> Callable[[Path, Rng], Non
 
 READERS = {
     "table": Reader("table.npz", change_table, lambda file: load_table(file, PARAMS), 3),
-    "journal": Reader(
-        "table.npz.journal", change_file, lambda f: Journal(f.with_suffix("")).read(1)
-    ),
+    "store": Reader("table.npz.store", change_store, read_store, 2),
     "parameters": Reader("params.yaml", change_yaml, load_params, 3),
     "MCAP": Reader("bag", first("*.mcap", change_mcap), read_bag, 4),
     "SQLite": Reader("sqlite", first("*.db3", change_sqlite), read_bag, 4),

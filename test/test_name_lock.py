@@ -73,7 +73,7 @@ def test_a_second_node_of_one_name_is_refused_and_a_successor_is_not(ros: Ros, p
 
 
 def test_a_table_that_comes_second_touches_no_file(ros: Ros, tmp_path: Path) -> None:
-    """Snapshot and journal are the first one's."""
+    """The store is the first one's."""
     file = tmp_path / "table.npz"
     save = overrides({"save": str(file)})
     first = ros.add(TableNode(context=ros.context, parameter_overrides=save))

@@ -31,12 +31,12 @@ from ember_ros.spinning import node_main
 from leg_node import calls
 from leg_node.assembly import empty_table, make_leg
 from leg_node.node import LegNode
-from leg_node.shared import SharedTable, UpdateBatch
+from leg_node.shared import Changes, SharedTable, UpdateBatch
 from leg_node.table_file import load_table, save_table
 from leg_node.table_node import TableNode
 from sim_node.node import FINISHED, SimNode
 from support.legs import LEGS
-from support.robot import overrides
+from support.robot import PATIENCE_S, Robot, overrides
 from support.ros import Ros
 from support.runs import Heard
 
@@ -564,7 +564,9 @@ def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: 
     ) -> GetParameters.Response:
         pulls.append(request)
         since, upto, wanted = calls.read_pull(request)
-        response.values = calls.write_pull_response(wanted, shared.pull(since, upto), str)
+        response.values = calls.write_pull_response(
+            wanted, shared.pull(since, upto), cells_sha256(Params()), str
+        )
         return response
 
     make(ros, LegNode, leg="rear_left")
@@ -742,9 +744,9 @@ def test_a_push_is_merged_once_however_often_it_comes(ros: Ros) -> None:
         assert result.successful
         assert bool(result.reason) == bool(n)  # "received before"
     assert node.shared.table.visits.sum() == 0
-    changes = calls.read_changes(ros.call(pull, calls.write_pull(version, 4)))
+    changes = changes_of(ros.call(pull, calls.write_pull(version, 4)))
     assert (changes.version, len(changes.cells)) == (version, 0)
-    changes = calls.read_changes(ros.call(pull, calls.write_pull(version, 5)))
+    changes = changes_of(ros.call(pull, calls.write_pull(version, 5)))
     assert changes.version > version
     assert (changes.cells.tolist(), changes.values.tolist()) == ([3, 4], [0.5, -0.25])
     assert changes.visits.tolist() == [1, 1]
@@ -790,9 +792,14 @@ def test_the_whole_table_can_be_pulled(ros: Ros, file: Path) -> None:
     assert visits.integer_array_value.tobytes() == table.visits.tobytes()
     assert list(cells.integer_array_value) == list(range(len(table)))
     assert '"seed": 11' in about.string_value
-    first = calls.read_changes(ros.call(pull, calls.write_pull(None, -1)))
+    first = changes_of(ros.call(pull, calls.write_pull(None, -1)))
     assert first.values.tobytes() == table.values.tobytes()
     assert first.visits.tobytes() == table.visits.tobytes()
+
+
+def changes_of(response: GetParameters.Response) -> Changes:
+    """Return the changes that a table of the default parameters answers with."""
+    return calls.read_changes(response, empty_table(Params()), cells_sha256(Params()))
 
 
 @pytest.mark.parametrize("name", ["value", "since=x", f"since={2**63}", f"upto={2**64}"])
@@ -852,7 +859,7 @@ def test_save_to_where_nothing_can_be_written_says_so(ros: Ros, tmp_path: Path) 
 def test_a_table_that_could_never_be_saved_is_refused_at_once(ros: Ros, tmp_path: Path) -> None:
     """Not after hours of learning: the constructor says that ``save`` cannot be written."""
     (tmp_path / "folder").write_text("a file where a folder should be")
-    with pytest.raises(TableError, match=r"cannot write the table .*folder/table\.npz"):
+    with pytest.raises(TableError, match=r"cannot open .*folder/table\.npz\.store"):
         TableNode(
             context=ros.context,
             parameter_overrides=overrides({"save": str(tmp_path / "folder" / "table.npz")}),
@@ -885,7 +892,7 @@ def test_saving_changes_nothing_of_what_is_learnt_after(ros: Ros, tmp_path: Path
 
 def test_what_was_acknowledged_outlives_the_node(ros: Ros, tmp_path: Path) -> None:
     """A node that ends without a word leaves all pushes to the next one, which knows them again."""
-    pushes = [GOOD._replace(epoch=epoch, leg=leg) for epoch in range(3) for leg in range(4)]
+    pushes = [GOOD._replace(epoch=epoch, leg=leg) for epoch in (5, 6, 7) for leg in range(4)]
     tables = set()
     for cut in (None, 0, 5, 11):
         options = {"save": str(tmp_path / f"table_{cut}.npz")}
@@ -894,13 +901,13 @@ def test_what_was_acknowledged_outlives_the_node(ros: Ros, tmp_path: Path) -> No
         for n, each in enumerate(pushes):
             assert ros.call(push, calls.write_push(each)).result.reason == ""
             if n == 5:
-                ros.call(pull, calls.write_pull(None, 0))  # some are merged, some are not
+                ros.call(pull, calls.write_pull(None, 5))  # some are merged, some are not
             if n == cut:
                 ros.remove(node)
                 node = make(ros, TableNode, **options)
                 assert ros.call(push, calls.write_push(each)).result.successful
                 assert "received before" in ros.call(push, calls.write_push(each)).result.reason
-        ros.call(pull, calls.write_pull(None, 2))
+        ros.call(pull, calls.write_pull(None, 7))
         tables.add(node.shared.table.sha256())
         node.finish(lambda: None)
         ros.remove(node)
@@ -912,7 +919,7 @@ def test_learning_can_be_switched_off_and_on(ros: Ros) -> None:
     """While off, pushes are acknowledged and dropped; on again, they are merged."""
     node = make(ros, TableNode)
     push, pull, learning = map(ros.client, (topics.PUSH, topics.PULL, topics.LEARNING))
-    for epoch, on in enumerate((True, False, False, True)):
+    for epoch, on in enumerate((True, False, False, True), start=5):
         answer = ros.call(learning, SetBool.Request(data=on))
         assert answer.success
         assert ("merged" if on else "dropped") in answer.message
@@ -930,3 +937,58 @@ def test_a_sim_node_writes_over_no_run_of_ember(ros: Ros, tmp_path: Path) -> Non
     with pytest.raises(ParameterError, match=r"holds a run of `ember`"):
         make(ros, SimNode, out=str(tmp_path))
     assert (tmp_path / "cycles.csv").read_text() == "theirs"
+
+
+def test_a_saved_table_is_continued_and_only_an_explicit_option_starts_anew(
+    ros: Ros, tmp_path: Path, file: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """README's command, given twice: what was learned in between is not lost."""
+    options = {"table": str(file), "save": str(tmp_path / "walked.npz")}
+    visits: list[int] = []
+    for epoch, more in ((5, {}), (6, {}), (5, {"fresh": True})):
+        node = make(ros, TableNode, **options, **more)
+        push = ros.client(topics.PUSH)
+        updates = tuple(u._replace(tick=32 * epoch + n) for n, u in enumerate(GOOD.updates))
+        good = GOOD._replace(run=f"run {len(visits)}", epoch=epoch, updates=updates)
+        assert ros.call(push, calls.write_push(good)).result.successful
+        node.finish(lambda: None)
+        ros.remove(node)
+        visits.append(load_table(tmp_path / "walked.npz", Params())[0].visits.sum())
+        ros.node.destroy_client(push)
+    start = load_table(file, Params())[0].visits.sum()
+    assert visits == [start + 2, start + 4, start + 2]
+    assert f"the parameter table = {file} is ignored" in capfd.readouterr().err
+
+
+def test_two_tables_of_one_file_are_one_too_many(ros: Ros, tmp_path: Path) -> None:
+    """In two namespaces, with the same file: the second one is refused, and the first goes on."""
+    options = {"save": str(tmp_path / "table.npz")}
+    node = make(ros, TableNode, "/one", **options)
+    with pytest.raises(TableError, match="belongs to another table_node"):
+        make(ros, TableNode, "/two", **options)
+    node.finish(lambda: None)
+    assert [each.name for each in tmp_path.iterdir()] == ["table.npz"]
+
+
+def test_a_push_that_cannot_be_stored_is_kept_by_the_leg(ros: Ros, tmp_path: Path) -> None:
+    """The file is gone: the legs walk on alone, and hand everything in when it can be stored."""
+    save = tmp_path / "table.npz"
+    config = RunConfig("walker", 1000, seed=3)
+    robot = Robot(ros, config, sim_node={"patience": PATIENCE_S}, table_node={"save": str(save)})
+    robot.walk_to(40)
+    store = Path(f"{save}.store")
+    store.rename(tmp_path / "away")
+    legs = [robot.nodes[f"leg_{leg}"] for leg in LEGS]
+    ros.spin_until(lambda: all(leg._table_absent for leg in legs), "all legs walk alone")
+    robot.walk_to(robot.tick + 100)
+    waiting = [leg.module.copy.push_due() for leg in legs]
+    assert all(waiting)
+    (tmp_path / "away").rename(store)
+    ros.spin_until(lambda: not any(leg._table_absent for leg in legs), "the table takes pushes")
+    robot.walk_to(robot.tick + 64)
+    assert all(leg.module.copy.push_due() not in waiting for leg in legs)
+    robot.finish()
+    falls = robot.sim.recorder.summary()["falls"]
+    table, _ = load_table(save, Params())
+    expected = 4 * (robot.tick - 1 - falls)  # and the legs that have sensed the present tick
+    assert expected <= table.visits.sum() <= expected + 4

@@ -98,7 +98,7 @@ def test_processes_end_with_the_bits_of_the_loop(
         said = log.read_text()
         for word in ("refused", "Traceback", "error", "absent", "alone"):
             assert word not in said, f"{log.name}: {said}"
-    assert not [p.name for p in tmp_path.iterdir() if "journal" in p.name or "snapshot" in p.name]
+    assert not list(tmp_path.glob("table.npz.*"))
     assert all("absent" not in (s.message for s in m.status) for m in diagnostics)
 
 
@@ -290,7 +290,7 @@ def test_legs_go_on_while_the_table_is_gone_and_come_back_to_it(
     fleet.start("table_node")
     fleet.until(
         lambda: "recovered after a crash" in fleet.log("table_node").read_text(),
-        "the table takes up its journal",
+        "the table takes up its store",
     )
     ros_of_module.node.destroy_client(pull)
     pull = ros_of_module.client(topics.PULL)

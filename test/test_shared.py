@@ -1,10 +1,8 @@
-"""The shared table, its journal and a leg's copy: the order never matters, nothing is lost."""
+"""The shared table and a leg's copy: the order never matters, nothing is lost."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,6 @@ from ember_ros.errors import EmberError, UpdateError
 from ember_ros.params import Rate
 from ember_ros.signals import TDUpdate
 from leg_node import shared as module
-from leg_node.journal import Journal
 from leg_node.shared import LocalCopy, SharedTable, UpdateBatch
 from leg_node.table import Table
 
@@ -402,59 +399,6 @@ def test_a_preview_merges_nothing(
     assert repr((table.pending(), table.version, content(table.table))) == before
     table.merge()
     assert content(table.table) == preview
-
-
-@pytest.fixture
-def journal(tmp_path: Path) -> Iterator[Journal]:
-    """Return a journal that was begun, and close it."""
-    journal = Journal(tmp_path / "table.npz")
-    journal.start(7)
-    yield journal
-    journal.close()
-
-
-@settings(max_examples=30, deadline=None, derandomize=True)
-@given(updates=st.lists(st.tuples(st.integers(0), st.integers(0), finite), max_size=4))
-def test_a_journal_keeps_every_bit(
-    updates: list[tuple[int, int, float]], tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    """A push read from a journal is the push that was written, its floats to the last bit."""
-    written = push(2, 5, *updates, run='a run, "quoted"')
-    journal = Journal(tmp_path_factory.mktemp("journal") / "table.npz")
-    journal.start(1)
-    journal.add(written)
-    journal.close()
-    (read,) = journal.read(1)
-    assert read == written
-    assert repr(read) == repr(written)  # which tells -0.0 from 0.0
-
-
-def test_a_torn_journal_is_what_was_acknowledged(journal: Journal) -> None:
-    """Cut off at any byte: all pushes whose line is whole, in order, and never a wrong one."""
-    pushes = [push(leg, leg + 1, (leg, 3, 0.1 * leg), (leg, 4, -1e-300)) for leg in range(4)]
-    ends = []
-    for each in pushes:
-        journal.add(each)
-        ends.append(journal.file.stat().st_size)
-    whole = journal.file.read_bytes()
-    for length in range(len(whole) + 1):
-        journal.file.write_bytes(whole[:length])
-        count = sum(end - 1 <= length for end in ends)  # the line's end itself may be missing
-        assert journal.read(7) == pushes[:count]
-
-
-def test_a_journal_belongs_to_its_snapshot(journal: Journal) -> None:
-    """A journal of another generation is in the snapshot already; a missing one is empty."""
-    journal.add(push(0, 0, (0, 1, 1.0)))
-    assert journal.read(6) == journal.read(8) == []
-    journal.start(8)
-    assert journal.pushes == 0
-    assert journal.read(7) == journal.read(8) == []
-    journal.add(push(0, 1, (4, 1, 1.0)))
-    assert [each.epoch for each in journal.read(8)] == [1]
-    journal.remove()
-    assert journal.read(8) == []
-    assert list(journal.file.parent.iterdir()) == []
 
 
 # -- a leg's copy --------------------------------------------------------------------------------

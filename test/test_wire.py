@@ -75,6 +75,11 @@ def exactly(value: Any) -> Any:
     return type(value), value
 
 
+def arrays(cells: list[int], values: list[float], visits: list[int]) -> tuple[Any, Any, Any]:
+    """Return the arrays of ``Changes``."""
+    return np.array(cells), np.array(values, dtype=np.float64), np.array(visits)
+
+
 def bare_phase(phase: float) -> bytes:
     """Return a std_msgs/Float64, as the phase travelled before it had a stamp."""
     return cdr.ENCAPSULATION + struct.pack("<d", phase)
@@ -614,7 +619,7 @@ def test_a_push_that_says_nonsense_is_refused_whole(bad: UpdateBatch, names: str
 
 @given(
     st.integers(0, 2**63 - 1),
-    st.lists(st.tuples(st.integers(0, 2**63 - 1), numbers, st.integers(0, 2**63 - 1)), max_size=30),
+    st.lists(st.tuples(st.integers(0, 999), numbers, st.integers(0, 2**63 - 1)), max_size=30),
     st.none() | st.integers(0, 2**62),
     st.integers(-1, 2**62),
 )
@@ -631,8 +636,10 @@ def test_a_pull_survives_bit_for_bit(
     )
     asked_since, asked_upto, wanted = calls.read_pull(calls.write_pull(since, upto))
     assert (asked_since, asked_upto) == (-1 if since is None else since, upto)
-    response = GetParameters.Response(values=calls.write_pull_response(wanted, changes, str))
-    read = calls.read_changes(response)
+    response = GetParameters.Response(
+        values=calls.write_pull_response(wanted, changes, "meaning", str)
+    )
+    read = calls.read_changes(response, Table(1000, 1), "meaning")
     assert read.version == version
     for ours, theirs in zip(read[1:], changes[1:], strict=True):
         assert ours.dtype == theirs.dtype
@@ -650,7 +657,7 @@ def test_a_pull_of_the_whole_table_is_the_table() -> None:
     since, upto, wanted = calls.read_pull(request)
     assert (since, upto, wanted) == (None, None, request.names)
     about, visits, values, cells, version = calls.write_pull_response(
-        wanted, shared.pull(since, upto), lambda: "{}"
+        wanted, shared.pull(since, upto), "meaning", lambda: "{}"
     )
     assert about.string_value == "{}"
     assert version.integer_value == 0
@@ -665,7 +672,7 @@ def test_a_pull_of_the_whole_table_is_the_table() -> None:
 )
 def test_a_pull_of_something_unknown_is_refused(name: str) -> None:
     """The error names what was asked and what may be asked."""
-    with pytest.raises(UpdateError, match=rf"^pull: '{name}' is unknown; .*values, visits, about"):
+    with pytest.raises(UpdateError, match=rf"^pull: '{name}' is unknown; .*cells_sha256, about"):
         calls.read_pull(GetParameters.Request(names=["version", name]))
 
 
@@ -679,7 +686,36 @@ def test_a_pull_with_a_bound_that_is_no_64_bit_integer_is_refused(name: str) -> 
 def test_an_empty_answer_to_a_pull_is_a_refusal() -> None:
     """A leg that is answered nothing says so, and takes nothing."""
     with pytest.raises(UpdateError, match="refused"):
-        calls.read_changes(GetParameters.Response())
+        calls.read_changes(GetParameters.Response(), Table(5, 3), "meaning")
+
+
+@pytest.mark.parametrize(
+    ("changes", "meaning", "why"),
+    [
+        (Changes(1, *arrays([15], [0.5], [1])), "meaning", "cells outside 0 to 14"),
+        (Changes(1, *arrays([-1], [0.5], [1])), "meaning", "cells outside 0 to 14"),
+        (Changes(1, *arrays([3], [math.nan], [1])), "meaning", "not finite"),
+        (Changes(1, *arrays([3], [math.inf], [1])), "meaning", "not finite"),
+        (Changes(1, *arrays([3], [0.5], [-1])), "meaning", "negative visits"),
+        (Changes(1, *arrays([3, 4], [0.5], [1])), "meaning", "differ in length"),
+        (Changes(1, *arrays([3], [0.5], [1])), "another", "learned with other parameters"),
+    ],
+)
+def test_an_answer_that_does_not_fit_a_leg_s_table_is_refused(
+    changes: Changes, meaning: str, why: str
+) -> None:
+    """It is refused whole, before any cell is written."""
+    _, _, wanted = calls.read_pull(calls.write_pull(None, 0))
+    values = calls.write_pull_response(wanted, changes, meaning, str)
+    with pytest.raises(UpdateError, match=why):
+        calls.read_changes(GetParameters.Response(values=values), Table(5, 3), "meaning")
+
+
+def test_a_pull_of_too_many_names_is_refused() -> None:
+    """Three thousand times the values would be gigabytes."""
+    for names in (["values"] * 2, [f"since={n}" for n in range(calls.MAX_NAMES + 1)]):
+        with pytest.raises(UpdateError, match=f"up to {calls.MAX_NAMES}, each once"):
+            calls.read_pull(GetParameters.Request(names=names))
 
 
 def test_signals_have_no_field_that_wire_forgets() -> None:

@@ -18,7 +18,7 @@ from ember_ros import topics
 from ember_ros.bag.run_metadata import LegMetadata, RunMetadata
 from ember_ros.bag.run_writer import absolute
 from ember_ros.errors import EmberError
-from ember_ros.params import SPECS, Params, replace
+from ember_ros.params import SPECS, Params, cells_sha256, replace
 from ember_ros.versions import versions
 from ember_ros.worlds import legs_of, spec_of
 from leg_node import calls
@@ -188,7 +188,7 @@ class MetadataClient:
             return None
         table = empty_table(params)
         try:
-            changes = calls.read_changes(self._table)
+            changes = calls.read_changes(self._table, table, cells_sha256(params))
             if len(changes.values) != len(table):
                 raise EmberError(f"{len(changes.values)} cells instead of {len(table)}")
         except EmberError as error:
