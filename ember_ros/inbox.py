@@ -44,16 +44,17 @@ class Inbox:
             return Receipt.OVER
         slots = self._received[source]
         slots.pop(tick, None)
-        slots[tick] = value
-        if len(slots) > KEPT:
+        if len(slots) == KEPT:
             del slots[min(slots, key=self._support)]
+        slots[tick] = value
         return Receipt.NEW
 
     def _support(self, tick: int) -> int:
         """Return how many sources have sent a value of a tick.
 
         A full source drops a tick that no other source knows, such as a wrong stamp, before one
-        that is nearly complete; among equals, the one received first.
+        that is nearly complete; among equals, the one received first. It always takes the newest:
+        ticks of which one message was lost must not keep out the ones that follow.
         """
         return sum(tick in slots for slots in self._received.values())
 

@@ -149,6 +149,18 @@ def test_wrong_stamps_do_not_push_out_a_tick_that_is_nearly_complete() -> None:
     assert inbox.pop(0) == complete(0)
 
 
+def test_ticks_that_stay_incomplete_do_not_keep_out_those_that_follow() -> None:
+    """A leg that joins a walk may have missed the phase of all ticks that its inbox holds."""
+    inbox = Inbox(*SOURCES)
+    for tick in range(2 * KEPT):
+        inbox.put("joints", tick, value("joints", tick))
+        inbox.put("contact", tick, value("contact", tick))
+    tick = 100
+    for source in SOURCES:
+        inbox.put(source, tick, value(source, tick))
+    assert inbox.pop(tick) == complete(tick)
+
+
 def through(inbox: Inbox, *ticks: int) -> None:
     """Hear all of some ticks."""
     for tick in ticks:
