@@ -155,7 +155,8 @@ def document(folder: Path) -> str:
         "**Verdicts.** Two arms of an experiment are compared by the difference of a measure, "
         "paired by seed. A claim *holds* or *fails* if the 95 % confidence interval of the mean "
         "difference (Student's t) lies on one side of 0; otherwise it is *unclear*. A claim that "
-        'begins with "our target" compares a measure with a fixed limit instead. There are many '
+        'begins with "our target" compares a measure with a fixed limit instead; a few other '
+        "claims have criteria of their own, which are given in their sections. There are many "
         "claims, and the intervals are not corrected for multiple testing.",
         "",
         "**Seeds.** Trainings have the seeds 0, 1, ...; the walks with their tables have the "
@@ -172,7 +173,7 @@ def document(folder: Path) -> str:
         "",
         f"**Bodies.** Length, and half of the distance between left and right hips: "
         f"{'; '.join(bodies)}. Each body is a parameter file: `ember walk --params narrow`. Not "
-        "only the feet but also body and knees collide with the ground.",
+        "only the feet but also body and knees have collision shapes.",
         "",
         *_summary(all_results),
         "",

@@ -276,8 +276,8 @@ def text(results: Results) -> list[str]:
         *failure_table(results),
         "",
         "*Held-out seeds* were not used for tuning any parameter. Body and ground have no noise, "
-        "and `ember` does not explore on the body. There the seed of a walk only breaks ties "
-        "between equal values, so the variation between walks comes from the trainings. *Never "
+        "and `ember` does not explore on the body. The seed of a walk of `ember` therefore only "
+        "breaks ties between equal values, and walks differ because their trainings differ. *Never "
         "fell*: with its exact 95 % confidence interval (Clopper-Pearson). *Outside*: share of "
         f"steps with {reporting.OUTSIDE}.",
         "",
@@ -292,8 +292,8 @@ def text(results: Results) -> list[str]:
         "",
         *comparison(results),
         "**Gait.** Distance: mean over all steps and seeds, and its ratio to that of the scripted "
-        "knee. Other columns without a range of steps in the head: medians over seeds of the last "
-        f"{WINDOW} steps, except for the cost of transport:",
+        "knee. Other columns without a range of steps in their heading: medians over seeds of the "
+        f"last {WINDOW} steps, except for the cost of transport:",
         "",
         *gait_table(results),
         "",
@@ -374,7 +374,7 @@ def _draw_survival(axis: Axes, results: Results) -> None:
         axis.fill_between(steps, low, high, step="post", color=colour, alpha=0.15, lw=0)
     axis.set_ylim(-0.02, 1.05)
     axis.set_xlabel("steps")
-    axis.set_ylabel("share of walkers without a fall")
+    axis.set_ylabel("share without a fall")
     axis.set_title("Steps to the first fall (Kaplan-Meier, 95 %)", loc="left", color=INK)
     axis.legend(frameon=False, loc="center right")
 
