@@ -336,7 +336,7 @@ def section(study: Study, results: Results, heading: str, figures: str = "") -> 
     )
     verdicts = [
         *markdown_table(
-            ("claim", "tested with", "difference paired by seed, mean [95 % interval]", "verdict"),
+            ("claim", "tested with", "result, mean over seeds [95 % interval]", "verdict"),
             [(each.statement, each.scope, each.evidence, f"**{each.verdict}**") for each in claims],
         ),
         "",
