@@ -72,10 +72,10 @@ def test_workers_import_nothing_of_the_working_directory(hostile: Path) -> None:
     folder = hostile / "program"
     folder.mkdir()
     (folder / "run.py").write_text(
-        "from ember_ros.experiments import lab\n"
+        "from ember_ros.experiments import runner\n"
         "if __name__ == '__main__':\n"
-        "    with lab.workers() as (pool, _):\n"
-        "        print(pool.submit(lab.cost, lab.Trial('walker', 2, 0)).result())\n"
+        "    with runner.workers() as (pool, _):\n"
+        "        print(pool.submit(runner.cost, runner.Trial('walker', 2, 0)).result())\n"
     )
     done = child([sys.executable, "program/run.py"], cwd=hostile, env={**os.environ})
     assert (done.returncode, done.stdout, done.stderr) == (0, "6\n", "")

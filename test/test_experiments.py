@@ -1,4 +1,4 @@
-"""Experiments: trials are what they say and run once; numbers in pages come from result files."""
+"""Tests of experiments: trials, the runner, the arms, statistics, commands and documents."""
 
 from __future__ import annotations
 
@@ -19,23 +19,24 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from ember_ros.experiments import isotropy, lab, relearn, stats
+from ember_ros.experiments import isotropy, relearning, runner, stats
 from ember_ros.experiments.central import CentralLoop
+from ember_ros.experiments.reporting import column
 from ember_ros.experiments.reproduction import DOCUMENT, RESULTS, STUDIES, document
 from ember_ros.experiments.studies import learners, senses
-from ember_ros.experiments.studies.fig5 import BACK, HEIGHTS, settles
-from ember_ros.experiments.studies.sharing import NEVER, reached
+from ember_ros.experiments.studies.fig5 import STOPS, VARIATIONS, settling_step
+from ember_ros.experiments.studies.sharing import NO_SYNC, cycle_reached
 from ember_ros.experiments.study import (
     BODIES,
     LEARNERS,
-    OLDER,
-    OTHER_SEED,
+    OUTDATED,
+    WALK_SEED_OFFSET,
     Size,
-    belongs,
-    numbers,
+    learner_params,
+    outdated_reason,
     page_of,
-    trained,
-    walks,
+    training_trial,
+    walking_trials,
 )
 from ember_ros.experiments.trial import (
     CENTRAL,
@@ -47,7 +48,6 @@ from ember_ros.experiments.trial import (
     outcome,
     run_trial,
 )
-from ember_ros.experiments.words import column
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
 from ember_ros.run_config import RunConfig
@@ -59,7 +59,7 @@ from support.command import EMBER, ROOT, child, ember, started
 from support.legs import beat
 from support.waiting import DEADLINE_S, until
 
-pytest.importorskip("pybullet", reason="a trial needs a world")
+pytest.importorskip("pybullet", reason="trials need a world")
 pytest.importorskip("scipy", reason="statistics need it")
 
 SIZE = Size(seeds=2, train=3, walk=20)
@@ -68,19 +68,19 @@ SIZE = Size(seeds=2, train=3, walk=20)
 # -- trials -----------------------------------------------------------------------------------
 
 
-def test_a_trial_is_what_the_loop_does(tmp_path: Path) -> None:
-    """A trained start and a walk from it: the same tables as by hand, bit for bit."""
-    (walk,) = walks("ember", "narrow", 3, [4], [trained("ember", SIZE, 4)])
+def test_a_trial_equals_a_run_of_the_loop(tmp_path: Path) -> None:
+    """A training and a walk from its table give the same tables as two loops, bit for bit."""
+    (walk,) = walking_trials("ember", "narrow", 3, [4], [training_trial("ember", SIZE, 4)])
     assert walk.start is not None
     for trial in (walk.start, walk):
         assert run_trial(trial, tmp_path)
     configs = [
-        RunConfig("trainer", 3, seed=4, params=numbers("ember")),
+        RunConfig("trainer", 3, seed=4, params=learner_params("ember")),
         RunConfig(
             "walker",
             3,
-            seed=4 + OTHER_SEED,
-            params=numbers("ember", "narrow"),
+            seed=4 + WALK_SEED_OFFSET,
+            params=learner_params("ember", "narrow"),
             table=tmp_path / walk.start.key / TABLE,
         ),
     ]
@@ -91,13 +91,13 @@ def test_a_trial_is_what_the_loop_does(tmp_path: Path) -> None:
         sha = loop.finish().sha256()
         loop.close()
         assert outcome(trial, tmp_path).measures["table_sha256"] == sha
-        kept, _ = load_table(tmp_path / trial.key / TABLE, config.params)
-        assert kept.sha256() == sha
+        saved, _ = load_table(tmp_path / trial.key / TABLE, config.params)
+        assert saved.sha256() == sha
 
 
-def test_a_trial_twice_is_the_same_trial(tmp_path: Path) -> None:
-    """All measures but the time it took are equal, and so is every curve."""
-    (trial,) = walks("plain", "short", 4, [1])
+def test_a_trial_is_reproducible(tmp_path: Path) -> None:
+    """All measures except the CPU time are equal, and all cycles, traces and footfalls."""
+    (trial,) = walking_trials("plain", "short", 4, [1])
     found = []
     for folder in ("one", "two"):
         run_trial(trial, tmp_path / folder)
@@ -110,8 +110,8 @@ def test_a_trial_twice_is_the_same_trial(tmp_path: Path) -> None:
     assert np.array_equal(found[0].traces, found[1].traces)
 
 
-def test_whatever_determines_a_trial_is_in_its_name() -> None:
-    """Each of these is another trial; equal ones are one."""
+def test_the_key_contains_everything_that_determines_a_trial() -> None:
+    """Trials that differ in one field have different keys; equal trials have equal keys."""
     base = Trial("walker", 5, 1)
     others = [
         Trial("trainer", 5, 1),
@@ -127,8 +127,8 @@ def test_whatever_determines_a_trial_is_in_its_name() -> None:
     assert Trial("walker", 5, 1).key == base.key
 
 
-def test_the_code_that_decides_is_all_that_runs(tmp_path: Path) -> None:
-    """No module of the house takes part in a trial unnoticed: its code would not be in the name."""
+def test_decides_lists_all_modules_of_a_trial(tmp_path: Path) -> None:
+    """A module of this package that a trial imports is in ``DECIDES``, so the key depends on it."""
     code = (
         "import sys\n"
         "from pathlib import Path\n"
@@ -141,23 +141,25 @@ def test_the_code_that_decides_is_all_that_runs(tmp_path: Path) -> None:
     command = [sys.executable, "-c", code, "trials"]
     run = child(command, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
-    house = {name for name in run.stdout.split() if name.split(".")[0] in ("ember_ros", *ROOMS)}
-    idle = {"leg_node", "sim_node", "cpg_node", "ember_ros.experiments", "ember_ros.report"}
-    # What is said of a trial, errors, a protocol, a file's format and its place: a table is held by
-    # its SHA-256.
-    idle |= {"ember_ros", "ember_ros.versions", "ember_ros.observer", "ember_ros.shipped"}
-    idle |= {"leg_node.table_file", "ember_ros.bounded_io", "ember_ros.errors"}
-    assert house - idle == set(DECIDES)
+    imported = {
+        name for name in run.stdout.split() if name.split(".")[0] in ("ember_ros", *PACKAGES)
+    }
+    allowed = {"leg_node", "sim_node", "cpg_node", "ember_ros.experiments", "ember_ros.report"}
+    # These do not determine results: versions, errors, a protocol, file formats and file locations.
+    # A table is identified by its SHA-256.
+    allowed |= {"ember_ros", "ember_ros.versions", "ember_ros.observer", "ember_ros.shipped"}
+    allowed |= {"leg_node.table_file", "ember_ros.bounded_io", "ember_ros.errors"}
+    assert imported - allowed == set(DECIDES)
 
 
-ROOMS = ("leg_node", "sim_node", "cpg_node")
+PACKAGES = ("leg_node", "sim_node", "cpg_node")
 
 
 @pytest.mark.slow
-def test_the_code_of_a_part_that_is_named_is_in_the_name(
+def test_the_key_contains_the_code_of_own_parts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another line in a file of one's own, and what was run before is of another trial."""
+    """Changed code in a user's own part gives another key; a changed comment does not."""
     monkeypatch.syspath_prepend(tmp_path)
     file = tmp_path / "named_in_a_trial.py"
     params = replace(Params(), {"parts.reward": "named_in_a_trial.Mine"})
@@ -180,8 +182,8 @@ def test_the_code_of_a_part_that_is_named_is_in_the_name(
     assert key("", plain) == key("class Mine: pass\n", plain)
 
 
-def test_a_stopped_trial_leaves_nothing(tmp_path: Path) -> None:
-    """Stopped in the middle, it is as if it had not begun; then it can be run whole."""
+def test_a_stopped_trial_saves_nothing(tmp_path: Path) -> None:
+    """A trial that was stopped leaves no files, and can be run again."""
     trial = Trial("trainer", 5, 0)
     left = iter([True, True, False])
     assert not run_trial(trial, tmp_path, lambda: next(left))
@@ -190,8 +192,8 @@ def test_a_stopped_trial_leaves_nothing(tmp_path: Path) -> None:
     assert is_done(trial, tmp_path)
 
 
-def test_measures_are_those_of_the_record(tmp_path: Path) -> None:
-    """Falls, shares and ways, written here a second time from the cycles that were kept."""
+def test_measures_follow_from_the_cycles(tmp_path: Path) -> None:
+    """Falls, shares and distances are computed a second time, from the saved cycles."""
     trial = Trial("walker", 30, 3, policy="random", learning=False)
     run_trial(trial, tmp_path)
     found = outcome(trial, tmp_path)
@@ -201,66 +203,66 @@ def test_measures_are_those_of_the_record(tmp_path: Path) -> None:
     bad = (cycles["tilt_max_rad"] > 0.3) | (cycles["height_min_m"] < 0.36)
     assert measures["outside"] == bad.mean()
     assert measures["outside_settled"] is None
-    # NumPy adds in another order.
+    # NumPy sums in another order.
     assert measures["distance_m"] == pytest.approx(cycles["distance_m"].mean())
     assert measures["unvisited_share"] is None
     assert found.traces.shape == (2, 16 * 32, 2)
 
 
-def test_a_scripted_walk_costs_what_a_walk_costs(tmp_path: Path) -> None:
-    """The motors do work, so that the cost of transport is a number of a walking machine's size."""
+def test_the_cost_of_transport_is_plausible(tmp_path: Path) -> None:
+    """The cost of transport of the scripted knee has the magnitude of that of walking robots."""
     trial = Trial("walker", 20, 0, policy="scripted", learning=False)
     run_trial(trial, tmp_path)
     cost = outcome(trial, tmp_path).measures["cost_of_transport"]
     assert 0.1 < cost < 10.0
 
 
-# -- the lab ----------------------------------------------------------------------------------
+# -- the runner -------------------------------------------------------------------------------
 
 
-def test_starts_come_first_and_nothing_twice() -> None:
-    """Walks of one training share it, and it stands before them."""
+def test_dependency_order() -> None:
+    """A training comes before the walks that start from it, and every trial comes once."""
     start = Trial("trainer", 1, 0)
     walked = [Trial("walker", 1, seed, start=start) for seed in (1, 2)]
-    assert lab.in_order([*walked, walked[0]]) == [start, *walked]
+    assert runner.in_dependency_order([*walked, walked[0]]) == [start, *walked]
 
 
 @pytest.mark.slow
-def test_the_lab_goes_on_where_it_was(tmp_path: Path) -> None:
-    """Stopped, it says so; started again it runs what is missing, and nothing once more."""
+def test_the_runner_continues_a_stopped_run(tmp_path: Path) -> None:
+    """A stopped run returns False; a second run completes it without repeating any trial."""
     trials = [Trial("walker", 1, seed, start=Trial("trainer", 1, seed)) for seed in range(2)]
-    told: list[tuple[int, int]] = []
+    progress: list[tuple[int, int]] = []
 
     def stop_soon(spent: int, of: int) -> bool:
-        told.append((spent, of))
+        progress.append((spent, of))
         return spent == 0
 
-    assert not lab.run_all(trials, tmp_path, stop_soon)
+    assert not runner.run_all(trials, tmp_path, stop_soon)
     before = {file: file.stat().st_mtime_ns for file in tmp_path.glob("*/trial.json")}
     assert 1 <= len(before) < 4
-    assert lab.run_all(trials, tmp_path, lambda spent, of: True)
+    assert runner.run_all(trials, tmp_path, lambda spent, of: True)
     after = {file: file.stat().st_mtime_ns for file in tmp_path.glob("*/trial.json")}
     assert len(after) == 4
     assert {file: after[file] for file in before} == before
-    assert told[-1][1] == sum(map(lab.cost, lab.in_order(trials)))
+    assert progress[-1][1] == sum(map(runner.cost, runner.in_dependency_order(trials)))
 
 
 def alive(group: int) -> list[str]:
     """Return the processes of a group that have not ended."""
-    found = []
+    running = []
     for file in Path("/proc").glob("[0-9]*/stat"):
         try:
             state, _, of = file.read_text().rpartition(")")[2].split()[:3]
         except OSError:
-            continue  # it ended while it was looked for
+            continue  # it ended during the search
         if int(of) == group and state != "Z":
-            found.append(file.parent.name)
-    return found
+            running.append(file.parent.name)
+    return running
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("number", "words", "says"),
+    ("number", "arguments", "message"),
     [
         (signal.SIGINT, ("fig5", "--seeds", "2"), "finished runs are in out/trials"),
         (signal.SIGHUP, ("fig5", "--seeds", "2"), "finished runs are in out/trials"),
@@ -268,94 +270,96 @@ def alive(group: int) -> list[str]:
     ],
 )
 def test_ctrl_c_stops_an_experiment_and_its_workers(
-    tmp_path: Path, number: int, words: tuple[str, ...], says: str
+    tmp_path: Path, number: int, arguments: tuple[str, ...], message: str
 ) -> None:
-    """The terminal, or its end, signals them all: 130, a line that says so, nobody left."""
-    command = [*EMBER, "experiment", *words]
+    """After SIGINT or SIGHUP to all processes: exit code 130, a message, no process left."""
+    command = [*EMBER, "experiment", *arguments]
     with started(
         command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, start_new_session=True
     ) as lead:
         threads = Path(f"/proc/{lead.pid}/task")
         until(
             lambda: lead.poll() is not None or len(list(threads.glob("*"))) >= 3,
-            "its pool has begun",
+            "its workers have started",
         )
         os.killpg(lead.pid, number)
         output, _ = lead.communicate(timeout=2 * DEADLINE_S)
     assert lead.returncode == 130, output
     assert "Stopped" in output
-    assert says in output
-    until(lambda: not alive(lead.pid), "nobody is left")
+    assert message in output
+    until(lambda: not alive(lead.pid), "all processes have ended")
 
 
-# -- what the arms are made of -----------------------------------------------------------------
+# -- arms --------------------------------------------------------------------------------------
 
 
-def test_the_learners_differ_in_the_named_parts_alone() -> None:
-    """All parts of ember on plain are ember, and the other way round: the list is whole."""
+def test_the_learners_differ_only_in_the_named_parts() -> None:
+    """`plain` with all parts of `ember` is `ember`, and vice versa: the list is complete."""
     parts = tuple(learners.PARTS)
-    assert numbers("plain", **learners.changes("ember", parts)) == numbers("ember")
-    assert numbers("ember", **learners.changes("plain", parts)) == numbers("plain")
+    assert learner_params("plain", **learners.changes("ember", parts)) == learner_params("ember")
+    assert learner_params("ember", **learners.changes("plain", parts)) == learner_params("plain")
     for part in parts:
         assert learners.changes("ember", (part,)) != learners.changes("plain", (part,))
 
 
-def test_a_sense_that_is_left_out_says_nothing() -> None:
-    """The state does not depend on it, and does on the others."""
+def test_a_sense_that_is_left_out_has_no_effect() -> None:
+    """The state does not depend on this sense, but it does depend on the others."""
     base = LegSense(0, 0.1, 0.5, 0.0, 0.0, 10.0, 10.0, -0.5, 0.0, True, True, False)
     other = {
         "without force": base._replace(force_mean=50.0),
         "without inclination": base._replace(inclination=0.3),
     }
     for name, changes in senses.WITHOUT.items():
-        partition = PaperDiscretizer(numbers("ember", **changes))
+        partition = PaperDiscretizer(learner_params("ember", **changes))
         same = {
             lost
             for lost, sense in other.items()
             if partition.index(sense, True) == partition.index(base, True)
         }
         assert same == {name} - {"all senses", "without hair"}
-    # The hair is no matter of the partition: it is so long that it touches wherever the leg is.
-    world = make_world("walker", numbers("ember", **senses.WITHOUT["without hair"]), 0)
+    # The hair is not left out by the partition: it is so long that it always touches the ground.
+    world = make_world("walker", learner_params("ember", **senses.WITHOUT["without hair"]), 0)
     for tick in range(40):
         world.step(beat(tick), [None] * 4)
         assert all(sense.hair for sense in world.observe())
     world.close()
 
 
-def test_private_legs_part_ways(tmp_path: Path) -> None:
-    """With ``sync_every`` beyond the run, four legs learn four tables; shared ones learn one."""
-    found = []
-    ways: list[dict[str, Any]] = [{}, {"walk__sync_every": NEVER}]
-    for changes in ways:
-        loop = Loop(RunConfig("walker", 30, params=numbers("plain", **changes)))
+def test_private_tables_differ(tmp_path: Path) -> None:
+    """With ``sync_every`` longer than the run, four legs learn four tables; otherwise one table."""
+    visits = []
+    variants: list[dict[str, Any]] = [{}, {"walk__sync_every": NO_SYNC}]
+    for changes in variants:
+        loop = Loop(RunConfig("walker", 30, params=learner_params("plain", **changes)))
         for _ in range(30 * 32):
             loop.tick()
-        found.append({leg.copy.table.visits.sum() for leg in loop.legs})
+        visits.append({leg.copy.table.visits.sum() for leg in loop.legs})
         if changes:
             assert len({leg.copy.table.sha256() for leg in loop.legs}) == 4
         loop.close()
-    assert max(found[1]) < 30 * 32  # a private leg knows its own ticks alone
-    assert min(found[0]) > 3 * 29 * 31
+    assert max(visits[1]) < 30 * 32  # a private table contains only the ticks of its own leg
+    assert min(visits[0]) > 3 * 29 * 31
 
 
-def test_the_central_learner_learns_by_the_same_rule(tmp_path: Path) -> None:
-    """One update a tick into the joint table; legs do what it says and learn nothing themselves."""
-    config = RunConfig("walker", 2, seed=1, params=numbers("plain"))
+def test_the_central_learner_updates_the_joint_table(tmp_path: Path) -> None:
+    """One update per tick; the legs do the joint action and do not learn by themselves."""
+    config = RunConfig("walker", 2, seed=1, params=learner_params("plain"))
     loop = CentralLoop(config)
     assert (loop.joint.states, loop.joint.actions) == (32 * 16, 9**4)
-    heard: list[tuple[LegCommand | None, ...]] = []
+    commands_per_tick: list[tuple[LegCommand | None, ...]] = []
 
-    class Hear:
+    class CommandObserver:
         def tick(self, phase: Any, senses: Any, commands: Any, *others: Any) -> None:
-            heard.append(tuple(commands))
+            commands_per_tick.append(tuple(commands))
 
     for _ in range(64):
-        loop.tick(Hear())
+        loop.tick(CommandObserver())
     falls = loop.world.body().falls
     assert loop.joint.visits.sum() == 63 - falls
     speeds = config.params.leg.knee_speeds
-    for tick, commands in enumerate(heard[:20]):  # before any fall: every joint action was learnt
+    for tick, commands in enumerate(
+        commands_per_tick[:20]
+    ):  # before the first fall: the table was updated for each joint action
         joint = sum(
             speeds.index(command.knee_speed) * len(speeds) ** n
             for n, command in enumerate(commands)
@@ -363,30 +367,30 @@ def test_the_central_learner_learns_by_the_same_rule(tmp_path: Path) -> None:
         )
         states = loop.joint.visits.reshape(32, 16, -1)[tick % 32]
         assert states[:, joint].sum() >= 1
-    assert np.abs(loop.joint.values).max() <= 0.1 * 5  # a constant rate, from 0 on
+    assert np.abs(loop.joint.values).max() <= 0.1 * 5  # a constant learning rate, starting from 0
     assert loop.finish().visits.sum() == 0
     loop.close()
-    trial = Trial("walker", 2, 1, numbers("plain"), CENTRAL)
+    trial = Trial("walker", 2, 1, learner_params("plain"), CENTRAL)
     run_trial(trial, tmp_path)
     assert outcome(trial, tmp_path).measures["falls"] == falls
 
 
-def test_every_table_of_walkers_has_its_company() -> None:
-    """Wherever trained legs walk, the scripted knee, a random one and the empty table do, too."""
+def test_every_body_has_its_baselines() -> None:
+    """For each body with trained legs there are a scripted knee, a random knee and empty tables."""
     for name, study in STUDIES.items():
-        by_place: dict[str, set[str]] = {}
+        kinds_by_body: dict[str, set[str]] = {}
         for arm in study.arms(SIZE):
             for trial in arm.trials:
-                place = str((trial.params.walker, trial.params.physics))
+                body = str((trial.params.walker, trial.params.physics))
                 kind = "trained" if trial.start else trial.policy
                 if trial.world == "walker":
-                    by_place.setdefault(place, set()).add(kind)
-        for place, kinds in by_place.items():
-            assert {"scripted", "random", "learned"} <= kinds, (name, place, kinds)
+                    kinds_by_body.setdefault(body, set()).add(kind)
+        for body, kinds in kinds_by_body.items():
+            assert {"scripted", "random", "learned"} <= kinds, (name, body, kinds)
 
 
-def test_every_figure_is_asked_for_in_every_body() -> None:
-    """Trained against empty, shared against private, fixed against modulated: four bodies each."""
+def test_the_comparisons_use_all_bodies() -> None:
+    """Trained or empty, shared or private, fixed or modulated: each is compared in four bodies."""
     assert BODIES == ("reference", "easy", "short", "narrow")
     for name in ("direct", "sharing", "regime"):
         arms = STUDIES[name].arms(SIZE)
@@ -395,8 +399,8 @@ def test_every_figure_is_asked_for_in_every_body() -> None:
 
 
 @pytest.mark.slow
-def test_held_out_seeds_are_no_others() -> None:
-    """They begin at 100 and meet no seed that is used elsewhere."""
+def test_held_out_seeds_are_not_used_elsewhere() -> None:
+    """They start at 100, and no other arm uses them."""
     arms = STUDIES["walker"].arms(Size(10, 1, 10))
     (held,) = (arm for arm in arms if arm.labels.get("seeds") == "held out")
     starts = [trial.start.seed for trial in held.trials if trial.start]
@@ -406,7 +410,7 @@ def test_held_out_seeds_are_no_others() -> None:
         trial.seed
         for study in STUDIES.values()
         for arm in study.arms(Size(10, 1, 10))
-        for trial in lab.in_order(arm.trials)
+        for trial in runner.in_dependency_order(arm.trials)
         if arm.labels.get("seeds") != "held out"
     }
     assert not used & {*starts, *range(1100, 1110)}
@@ -416,18 +420,18 @@ def test_held_out_seeds_are_no_others() -> None:
 
 
 @pytest.mark.slow
-def test_an_interval_holds_its_mean() -> None:
-    """Student's t; without spread, the mean itself."""
-    found = stats.interval([1.0, 2.0, 3.0, 4.0, 5.0])
-    assert found.low < found.mean == 3.0 < found.high
+def test_an_interval_contains_its_mean() -> None:
+    """It is Student's t interval; for equal values it is their mean."""
+    interval = stats.interval([1.0, 2.0, 3.0, 4.0, 5.0])
+    assert interval.low < interval.mean == 3.0 < interval.high
     reach = 2.776 * math.sqrt(2.5 / 5)  # Student's t at 4 degrees of freedom, from a table
-    assert (found.low, found.high) == pytest.approx((3.0 - reach, 3.0 + reach), abs=1e-3)
+    assert (interval.low, interval.high) == pytest.approx((3.0 - reach, 3.0 + reach), abs=1e-3)
     assert stats.interval([2.0, 2.0]) == (2.0, 2.0, 2.0, 2)
-    assert stats.interval([1.0, 2.0, 3.0, 4.0, 5.0]) == found
+    assert stats.interval([1.0, 2.0, 3.0, 4.0, 5.0]) == interval
 
 
 @pytest.mark.parametrize(
-    ("values", "claimed", "word"),
+    ("values", "claimed", "expected"),
     [
         ([1.0, 1.2, 0.9, 1.1], 1, "holds"),
         ([1.0, 1.2, 0.9, 1.1], -1, "fails"),
@@ -437,19 +441,19 @@ def test_an_interval_holds_its_mean() -> None:
         ([5.0], 1, "unclear"),
     ],
 )
-def test_verdicts(values: list[float], claimed: int, word: str) -> None:
-    """A claim holds or fails where the interval is on one side of 0; one seed proves nothing."""
-    assert stats.verdict(stats.interval(values), claimed=claimed) == word
+def test_verdicts(values: list[float], claimed: int, expected: str) -> None:
+    """A claim holds or fails if the interval is on one side of 0; with one seed it is unclear."""
+    assert stats.verdict(stats.interval(values), claimed=claimed) == expected
 
 
-def test_differences_are_seed_by_seed() -> None:
-    """What all seeds share falls out of it."""
-    found = stats.difference([11.0, 101.0, 1001.0], [10.0, 100.0, 1000.0])
-    assert found == (1.0, 1.0, 1.0, 3)
+def test_differences_are_paired_by_seed() -> None:
+    """Differences between seeds have no effect."""
+    difference = stats.difference([11.0, 101.0, 1001.0], [10.0, 100.0, 1000.0])
+    assert difference == (1.0, 1.0, 1.0, 3)
 
 
 def test_survival_is_kaplan_meier() -> None:
-    """Two of four fell, one was censored between them: worked out by hand."""
+    """Two of four fell, one was censored between them; expected values were computed by hand."""
     curve = stats.survival([9, None, 29, None], [40, 20, 40, 40])
     share = dict(zip(curve.steps, curve.share, strict=True))
     assert share[0.0] == 1.0
@@ -459,19 +463,21 @@ def test_survival_is_kaplan_meier() -> None:
     assert stats.survival([None, None], [7, 7]).share == [1.0, 1.0]
 
 
-def test_settling_and_reaching() -> None:
-    """A ramp settles at 90 % of its way; a step is reached when its mean has come up."""
+def test_settling_step_and_cycle_reached() -> None:
+    """A ramp settles at 90 % of its height; a level is reached when the moving mean reaches it."""
     ramp = np.concatenate([np.zeros(1000), np.linspace(0, 1, 1000), np.ones(1000)])
-    # A ramp of 1000 points, and a mean over 200: to a few steps.
-    assert settles(ramp) == pytest.approx(1000 + 900 + 100, abs=5)
-    assert settles(np.ones(1000)) == 200
+    # A ramp of 1000 points and a mean over 200: exact to a few steps.
+    assert settling_step(ramp) == pytest.approx(1000 + 900 + 100, abs=5)
+    assert settling_step(np.ones(1000)) == 200
     values = np.concatenate([np.zeros(100), np.ones(100)])
-    assert reached(values, 0.5) == 101  # the first cycle of a mean that is half up, in its middle
-    assert reached(values, 2.0) is None
+    assert (
+        cycle_reached(values, 0.5) == 101
+    )  # the middle of the first window whose mean reaches 0.5
+    assert cycle_reached(values, 2.0) is None
 
 
-def test_a_measure_that_is_missing_is_not_left_out() -> None:
-    """A mean over fewer runs than there are would be a wrong one."""
+def test_a_missing_measure_is_an_error() -> None:
+    """A mean over the other runs would be wrong."""
     with pytest.raises(ValueError, match="outside_settled"):
         column([{"outside_settled": 0.1}, {"outside_settled": None}], "outside_settled")
 
@@ -483,12 +489,12 @@ SMOKE = ("--seeds", 1, "--cycles", 2, "--walk-cycles", 10)
 
 
 @pytest.mark.slow
-def test_all_experiments_in_small(
+def test_all_experiments_with_a_small_size(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every experiment runs, and writes what it says; again, nothing is run and nothing changes."""
-    words = ("experiment", "all", *SMOKE, "--out", tmp_path, "--trials", tmp_path / "trials")
-    assert ember(*words) == 0
+    """Every experiment writes its files; a second run repeats no trial and changes no file."""
+    arguments = ("experiment", "all", *SMOKE, "--out", tmp_path, "--trials", tmp_path / "trials")
+    assert ember(*arguments) == 0
     results = tmp_path / RESULTS
     for name in STUDIES:
         for ending in ("json", "csv", "md", "png"):
@@ -508,34 +514,32 @@ def test_all_experiments_in_small(
     assert "this version would give other results" not in "".join(capfd.readouterr())
     assert {file: file.read_bytes() for file in results.iterdir()} == before
     assert (tmp_path / DOCUMENT).read_text() == page
-    # Its pictures were drawn twice, to the same bytes.
+    # Figures are not drawn a third time: they were the same bytes twice.
     monkeypatch.setattr(Figure, "savefig", lambda *_, **__: None)
     ran = {file: file.stat().st_mtime_ns for file in (tmp_path / "trials").glob("*/*")}
-    assert ember(*words) == 0
+    assert ember(*arguments) == 0
     assert {file: file.stat().st_mtime_ns for file in (tmp_path / "trials").glob("*/*")} == ran
     assert {file: file.read_bytes() for file in results.iterdir()} == before
     assert "REPRODUCTION.md" in "".join(capfd.readouterr())
 
 
 @pytest.mark.slow
-def test_results_of_other_code_are_told_apart(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """A result that this version would not come to is drawn, and said to be another's."""
-    words = ("experiment", "fig5", *SMOKE, "--out", tmp_path, "--trials", tmp_path / "trials")
-    assert ember(*words) == 0
+def test_outdated_results_are_reported(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Results that this version would not compute are redrawn, with a message."""
+    arguments = ("experiment", "fig5", *SMOKE, "--out", tmp_path, "--trials", tmp_path / "trials")
+    assert ember(*arguments) == 0
     file = tmp_path / RESULTS / "fig5.json"
-    found = json.loads(file.read_text())
-    assert belongs(STUDIES["fig5"], found) is None
+    results = json.loads(file.read_text())
+    assert outdated_reason(STUDIES["fig5"], results) is None
     changes: list[tuple[Callable[[Any], Any], dict[str, str]]] = [
-        (lambda found: found["about"], {"code_sha256": "0" * 64}),
-        (lambda found: found["arms"][1]["runs"][0], {"trial": "0" * 20}),
-        (lambda found: found["about"]["versions"], {"numpy": "1.0"}),
+        (lambda results: results["about"], {"code_sha256": "0" * 64}),
+        (lambda results: results["arms"][1]["runs"][0], {"trial": "0" * 20}),
+        (lambda results: results["about"]["versions"], {"numpy": "1.0"}),
     ]
     for where, change in changes:
         other = json.loads(file.read_text())
         where(other).update(change)
-        assert belongs(STUDIES["fig5"], other) is not None
+        assert outdated_reason(STUDIES["fig5"], other) is not None
     other = json.loads(file.read_text())
     other["about"]["code_sha256"] = "0" * 64
     file.write_text(json.dumps(other))
@@ -545,12 +549,12 @@ def test_results_of_other_code_are_told_apart(
 
 
 @pytest.mark.slow
-def test_several_seeds_in_small(tmp_path: Path) -> None:
-    """With more than one seed there are quartiles, and one experiment alone writes no document."""
-    words = ("experiment", "fig5", "--seeds", 2, "--cycles", 4, "--out", tmp_path)
-    assert ember(*words, "--trials", tmp_path / "trials") == 0
+def test_several_seeds_with_a_small_size(tmp_path: Path) -> None:
+    """With two seeds there are quartiles; a single experiment does not write the document."""
+    arguments = ("experiment", "fig5", "--seeds", 2, "--cycles", 4, "--out", tmp_path)
+    assert ember(*arguments, "--trials", tmp_path / "trials") == 0
     found = json.loads((tmp_path / RESULTS / "fig5.json").read_text())
-    ways = len(LEARNERS) * len(HEIGHTS) + len(BACK)
+    ways = len(LEARNERS) * len(STOPS) + len(VARIATIONS)
     assert [len(arm["runs"]) for arm in found["arms"]] == [2] * ways
     curve = found["curves"]["ember/fixed/peak_force_n"]
     (arm,) = (a for a in found["arms"] if a["labels"] == {"learner": "ember", "height": "fixed"})
@@ -560,15 +564,15 @@ def test_several_seeds_in_small(tmp_path: Path) -> None:
     assert not (tmp_path / DOCUMENT).exists()
 
 
-def found_in_docs(name: str) -> Any:
-    """Return a result that is kept."""
+def documented_results(name: str) -> Any:
+    """Return the results of an experiment in docs."""
     return json.loads((ROOT / "docs" / RESULTS / f"{name}.json").read_text())
 
 
-def test_the_document_says_what_the_result_files_say() -> None:
-    """docs/REPRODUCTION.md is made from docs/results, to the letter: no figure typed by hand.
+def test_the_document_agrees_with_the_result_files() -> None:
+    """docs/REPRODUCTION.md is exactly what is computed from docs/results.
 
-    Where results are of code that decided otherwise, it says so before anything else.
+    This includes the note at its beginning if results are outdated.
     """
     assert (ROOT / "docs" / DOCUMENT).read_text() == document(ROOT / "docs" / RESULTS)
 
@@ -576,26 +580,26 @@ def test_the_document_says_what_the_result_files_say() -> None:
 PAGES: dict[str, Callable[[Any], str]] = {
     name: functools.partial(page_of, study) for name, study in STUDIES.items()
 }
-PAGES |= {"relearn": relearn.page, "isotropy": isotropy.page}
+PAGES |= {"relearn": relearning.page, "isotropy": isotropy.page}
 
 
 @pytest.mark.parametrize("name", list(PAGES))
-def test_a_page_says_what_its_result_says(name: str) -> None:
-    """And that it is older than this version, where it is."""
+def test_pages_agree_with_the_result_files(name: str) -> None:
+    """Each page in docs/results is exactly what is computed from its JSON file."""
     page = (ROOT / "docs" / RESULTS / f"{name}.md").read_text()
-    assert page == PAGES[name](found_in_docs(name))
+    assert page == PAGES[name](documented_results(name))
 
 
-def test_the_readme_says_where_results_are_older_than_this_version() -> None:
-    """It shows figures of theirs."""
+def test_the_readme_notes_outdated_results() -> None:
+    """It cites results, so it has the note if any page has it."""
     pages = [ROOT / "docs" / DOCUMENT, *(ROOT / "docs" / RESULTS / f"{n}.md" for n in PAGES)]
-    older = [page.name for page in pages if OLDER in page.read_text()]
-    assert (OLDER in (ROOT / "README.md").read_text()) is bool(older), older
+    older = [page.name for page in pages if OUTDATED in page.read_text()]
+    assert (OUTDATED in (ROOT / "README.md").read_text()) is bool(older), older
 
 
 @pytest.mark.parametrize("name", list(STUDIES))
-def test_the_result_files_are_whole(name: str) -> None:
-    """Ten seeds where ten are promised, all numbers finite, and small enough to keep."""
+def test_the_result_files_are_complete(name: str) -> None:
+    """They have ten seeds and only finite numbers, and are small enough for the repository."""
     for ending in ("json", "csv", "png"):
         assert (ROOT / "docs" / RESULTS / f"{name}.{ending}").stat().st_size < 3_000_000
     found = json.loads((ROOT / "docs" / RESULTS / f"{name}.json").read_text())
@@ -605,9 +609,9 @@ def test_the_result_files_are_whole(name: str) -> None:
             assert all(math.isfinite(value) for value in run.values() if isinstance(value, float))
 
 
-def test_the_readme_says_what_the_document_says() -> None:
-    """Its figures are the document's own lines."""
+def test_the_readme_agrees_with_the_document() -> None:
+    """Its summary is part of the document."""
     readme = (ROOT / "README.md").read_text()
-    said = readme.partition("<!-- in short -->")[2].partition("<!-- end -->")[0].strip()
-    assert said.startswith("- ")
-    assert said in (ROOT / "docs" / DOCUMENT).read_text()
+    summary = readme.partition("<!-- in short -->")[2].partition("<!-- end -->")[0].strip()
+    assert summary.startswith("- ")
+    assert summary in (ROOT / "docs" / DOCUMENT).read_text()

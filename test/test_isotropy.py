@@ -1,4 +1,4 @@
-"""The world is the same in every direction: what slides, and who walks (results/isotropy.md)."""
+"""Tests of isotropy: sliding bodies and walkers behave the same in all directions."""
 
 from __future__ import annotations
 
@@ -21,26 +21,30 @@ CYCLES = 20
 
 
 def spread(values: list[float]) -> float:
-    """Return the largest less the least."""
+    """Return the difference of the largest and the smallest value."""
     return max(values) - min(values)
 
 
-def test_what_slides_goes_as_far_in_every_direction_and_straight() -> None:
-    """Within 2 % was asked: it is exact but for rounding. By the world's axes it is 15 %."""
+def test_a_body_slides_equally_far_and_straight_in_all_directions() -> None:
+    """With axes of the robot distances are equal except for rounding; of the world, within 15 %."""
     from ember_ros.experiments.isotropy import slide
 
-    around = [n * math.tau / 24 for n in range(24)]
-    ways, off = zip(*[slide(PARAMS, heading, "robot") for heading in around], strict=True)
-    assert spread(list(ways)) < 1e-3 * min(ways)
-    assert max(map(abs, off)) < 1e-3
-    assert min(ways) == pytest.approx(1.0 / (2 * PARAMS.physics.gravity), rel=0.05)  # v^2 / 2 mu g
-    ways, _ = zip(*[slide(PARAMS, heading, "world") for heading in around], strict=True)
-    assert spread(list(ways)) > 0.1 * min(ways)
+    directions = [n * math.tau / 24 for n in range(24)]
+    distances, angles = zip(
+        *[slide(PARAMS, heading, "robot") for heading in directions], strict=True
+    )
+    assert spread(list(distances)) < 1e-3 * min(distances)
+    assert max(map(abs, angles)) < 1e-3
+    assert min(distances) == pytest.approx(
+        1.0 / (2 * PARAMS.physics.gravity), rel=0.05
+    )  # v^2 / 2 mu g
+    distances, _ = zip(*[slide(PARAMS, heading, "world") for heading in directions], strict=True)
+    assert spread(list(distances)) > 0.1 * min(distances)
 
 
 @pytest.mark.slow
-def test_walkers_turn_alike_whatever_their_heading() -> None:
-    """Eight headings: the same walk, turned. By the world's axes they part at once."""
+def test_walkers_turn_equally_from_all_headings() -> None:
+    """With axes of the robot all walks are equal; with axes of the world headings diverge."""
     from ember_ros.experiments.isotropy import headings, walk
 
     assert len(headings()) == 8
@@ -53,7 +57,7 @@ def test_walkers_turn_alike_whatever_their_heading() -> None:
 
 
 def test_a_walker_keeps_its_heading_when_it_falls() -> None:
-    """It is put back where it fell, heading where it headed."""
+    """It is put back on its feet at the same place and with the same heading."""
     from ember_ros.params import replace
     from sim_node.walker import WalkerWorld
 
@@ -63,21 +67,24 @@ def test_a_walker_keeps_its_heading_when_it_falls() -> None:
             world.step(beat(tick), [None] * 4)
         assert world.body().falls == 1
         world.step(beat(32), [None] * 4)
-        # It stands for a tick, and its twist turns it a little.
+        # It stands for one tick, and the twist of the body turns it a little.
         assert world.body().yaw == pytest.approx(2.0, abs=0.05)
     finally:
         world.close()
 
 
 @pytest.mark.slow
-def test_the_experiment_writes_what_its_page_says(tmp_path: Path) -> None:
-    """By the command, small; and its page is made again from its numbers alone."""
-    words = ("experiment", "isotropy", "--out", tmp_path, "--trials", tmp_path / "trials")
-    assert ember(*words, "--cycles", 4, "--walk-cycles", 4) == 0
-    found = json.loads((tmp_path / RESULTS / "isotropy.json").read_text())
-    assert [len(found["walks"][f"{who}/robot"]) for who in ("scripted", "trained")] == [8, 8]
+def test_the_experiment_writes_its_page(tmp_path: Path) -> None:
+    """The command runs with a small size, and ``--redraw`` writes the same page again."""
+    arguments = ("experiment", "isotropy", "--out", tmp_path, "--trials", tmp_path / "trials")
+    assert ember(*arguments, "--cycles", 4, "--walk-cycles", 4) == 0
+    results = json.loads((tmp_path / RESULTS / "isotropy.json").read_text())
+    assert [len(results["walks"][f"{walker}/robot"]) for walker in ("scripted", "trained")] == [
+        8,
+        8,
+    ]
     page = tmp_path / RESULTS / "isotropy.md"
     before = page.read_text()
     page.write_text("")
-    assert ember(*words, "--redraw") == 0
+    assert ember(*arguments, "--redraw") == 0
     assert page.read_text() == before

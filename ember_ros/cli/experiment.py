@@ -13,17 +13,17 @@ import click
 from ember_ros.cli import options
 from ember_ros.cli.codes import INTERRUPTED
 from ember_ros.errors import ParameterError, need
-from ember_ros.experiments import isotropy, relearn, reproduction
+from ember_ros.experiments import isotropy, relearning, reproduction
+from ember_ros.experiments.reporting import Results
 from ember_ros.experiments.reproduction import ALL, RESULTS, STUDIES, read
-from ember_ros.experiments.study import Size, Study, belongs
-from ember_ros.experiments.words import Found
+from ember_ros.experiments.study import Size, Study, outdated_reason
 from ember_ros.params_file import load_params
 from ember_ros.spinning import stop_signals
 from ember_ros.terminal import command_line, console, grid, progress, stages
 
 
 @click.command("experiment")
-@click.argument("name", type=click.Choice([*STUDIES, relearn.NAME, isotropy.NAME, ALL]))
+@click.argument("name", type=click.Choice([*STUDIES, relearning.NAME, isotropy.NAME, ALL]))
 @click.option(
     "--seeds",
     type=click.IntRange(1, 100),  # seeds from 100 on are held out
@@ -83,13 +83,13 @@ def experiment_command(
     all          all experiments of the paper, and the document REPRODUCTION.md
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
     results = out / RESULTS
-    if name == relearn.NAME:
+    if name == relearning.NAME:
         found = (
             read(name, results)
             if redraw
-            else _relearn(seeds or 5, cycles or relearn.CYCLES, walk_cycles or 300, trials)
+            else _relearn(seeds or 5, cycles or relearning.CYCLES, walk_cycles or 300, trials)
         )
-        _print_files(results, relearn.write(found, results))
+        _print_files(results, relearning.write(found, results))
         return
     need("matplotlib", why="to draw the figures")
     if name == isotropy.NAME:
@@ -110,7 +110,7 @@ def experiment_command(
     console.print(f"In {results}: {', '.join(made)}, with .json, .csv and .png of each")
 
 
-def _run(name: str, studies: list[Study], size: Size, trials: Path) -> list[Found]:
+def _run(name: str, studies: list[Study], size: Size, trials: Path) -> list[Results]:
     with _going_on(name) as go_on:
         found = reproduction.run(studies, size, trials, go_on, command_line())
     if found is None:
@@ -122,7 +122,7 @@ def _redraw(studies: list[Study], out: Path) -> list[str]:
     """Write pages, tables and figures again from existing results."""
     found = [read(study.name, out / RESULTS) for study in studies]
     for study, each in zip(studies, found, strict=True):
-        why = belongs(study, each)
+        why = outdated_reason(study, each)
         if why is not None:
             console.print(f"{study.name}: this version would give other results: {why}")
     try:
@@ -134,10 +134,10 @@ def _redraw(studies: list[Study], out: Path) -> list[str]:
         ) from error
 
 
-def _relearn(seeds: int, cycles: int, walk_cycles: int, trials: Path) -> Found:
-    folder = trials / relearn.NAME
-    with _going_on(relearn.NAME, "seeds") as go_on:
-        found = relearn.relearn_experiment(
+def _relearn(seeds: int, cycles: int, walk_cycles: int, trials: Path) -> Results:
+    folder = trials / relearning.NAME
+    with _going_on(relearning.NAME, "seeds") as go_on:
+        found = relearning.relearn_experiment(
             seeds, cycles, walk_cycles, folder, go_on, command_line()
         )
     if len(found["seeds"]) < seeds:
@@ -145,7 +145,7 @@ def _relearn(seeds: int, cycles: int, walk_cycles: int, trials: Path) -> Found:
     return found
 
 
-def _isotropy(cycles: int, walk_cycles: int, trials: Path) -> Found:
+def _isotropy(cycles: int, walk_cycles: int, trials: Path) -> Results:
     need("pybullet", why="to build the worlds")
     with _going_on(isotropy.NAME) as go_on:
         found = isotropy.isotropy_experiment(cycles, walk_cycles, trials, go_on, command_line())

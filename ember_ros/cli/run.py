@@ -15,7 +15,7 @@ from ember_ros.cli.codes import INTERRUPTED
 from ember_ros.errors import ParameterError, need
 from ember_ros.params_file import changed, load_params
 from ember_ros.report import figures
-from ember_ros.report.summary import beside
+from ember_ros.report.summary import comparison_rows
 from ember_ros.resume import resume_point, start_messages
 from ember_ros.run import (
     BACKENDS,
@@ -235,7 +235,7 @@ def _run_with_progress(
 def _print(summaries: Mapping[str, Mapping[str, Any]]) -> None:
     """Print summaries side by side, with headers if there are several."""
     heads = ("", *summaries) if len(summaries) > 1 else ()
-    console.print(grid(beside(summaries), "l" + "r" * len(summaries), heads))
+    console.print(grid(comparison_rows(summaries), "l" + "r" * len(summaries), heads))
 
 
 def _end_early(summary: dict[str, Any], out: Path) -> None:

@@ -1,9 +1,10 @@
-"""A central learner: one table over all legs, as far as such a table fits.
+"""A central learner: one table with coarse states and the joint actions of all legs.
 
-The legs' own states side by side would be ``4352^4`` (3.6e14) and the joint actions ``9^4``
-(6561): 2.4e18 cells. What fits in memory is all joint actions over a coarse state: the tick of the
-cycle and which feet touch the ground, 32 x 2^4 states, 3.4 million cells. It is rewarded with the
-mean of the legs' rewards, and learns by the same rule, with the same numbers.
+With the full states of four legs, ``4352^4`` (3.6e14), and their joint actions, ``9^4`` (6561), a
+table would have 2.4e18 cells, too many for any memory. This one has all joint actions but only
+coarse states, the tick of the cycle and which feet touch the ground: 32 x 2^4 states, 3.4 million
+cells. The reward is the mean of the legs' rewards; the learning rule and its parameters are those
+of the legs' own learner.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ class _FixedAction:
 
 
 class CentralLoop(Loop):
-    """The loop, with one learner that tells all legs what to do."""
+    """The loop with one learner that chooses the actions of all legs."""
 
     def __init__(self, config: RunConfig) -> None:
-        """Build the configured robot; its table is not used."""
+        """Build the configured robot; the table of the configuration is not used."""
         super().__init__(config)
         params: Params = config.params
         numbers = numbers_of(params, config.stage)
@@ -56,6 +57,7 @@ class CentralLoop(Loop):
         self._last: tuple[int, int] | None = None
 
     def _state(self, senses: tuple[LegSense, ...]) -> int:
+        """Return the index of the coarse state: tick of the cycle and contacts."""
         bits = sum(sense.contact << n for n, sense in enumerate(senses))
         return (self.now % self._ticks << len(senses)) + bits
 
@@ -77,6 +79,7 @@ class CentralLoop(Loop):
         self.joint.update(was * actions + did, target, self._numbers.rate)
 
     def _choose(self, state: int) -> int:
+        """Return a joint action, epsilon-greedy; ties between best actions are broken at random."""
         actions = self.joint.actions
         if self._rng.random() < epsilon_at(self._numbers, self.now // self._ticks):
             return int(self._rng.integers(actions))
@@ -85,7 +88,7 @@ class CentralLoop(Loop):
         return int(ties[self._rng.integers(len(ties))])
 
     def tick(self, *observers: Observer) -> None:
-        """Decide for all legs at once, then run one tick of the whole machine."""
+        """Learn from the last tick, choose the actions of all legs, then run one tick."""
         senses = self.world.observe()
         state = self._state(senses)
         self._learn(senses, state)

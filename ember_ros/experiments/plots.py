@@ -1,12 +1,13 @@
-"""Drawings that several experiments share."""
+"""Plots that several experiments use."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ember_ros.experiments import stats, words
+from ember_ros.experiments import reporting, stats
+from ember_ros.experiments.reporting import Results
 from ember_ros.report.figures import AMBER, BLUE, GREY, INK, canvas, save
 
 if TYPE_CHECKING:
@@ -14,39 +15,45 @@ if TYPE_CHECKING:
 
 COLOURS = (BLUE, AMBER, "#4d8f5b", "#8c5a9e", GREY, INK, "#c2476a")
 
-FALLS, WAY = "falls per 1000 cycles", "distance a cycle, m"
-MEASURES = {FALLS: words.FALL_RATE, WAY: "distance_m"}
-"""What is drawn of walkers wherever they are compared: label of the axis, and measure."""
+FALLS, DISTANCE = "falls per 1000 cycles", "distance per cycle, m"
+MEASURES = {FALLS: reporting.FALL_RATE, DISTANCE: "distance_m"}
+"""The measures that are plotted to compare walkers: label of the axis, and name."""
 
 
 def strips(axis: Axes, groups: Mapping[str, Mapping[str, Sequence[float]]], label: str) -> None:
-    """Draw every seed as a dot and every median as a bar: a cluster a group, a strip a kind."""
+    """Draw a dot for every seed and a bar for the median, for each kind within each group.
+
+    Args:
+        axis: to draw on; the groups are on its x axis.
+        groups: name of a group, name of a kind (same colour in all groups), values of its seeds.
+        label: label of the y axis.
+    """
     kinds = list(dict.fromkeys(kind for group in groups.values() for kind in group))
-    wide = 0.8 / len(kinds)
-    for place, group in enumerate(groups.values()):
+    width = 0.8 / len(kinds)
+    for position, group in enumerate(groups.values()):
         for kind, values in group.items():
             n = kinds.index(kind)
-            x = place - 0.4 + (n + 0.5) * wide
+            x = position - 0.4 + (n + 0.5) * width
             colour = COLOURS[n % len(COLOURS)]
-            apart = [x + wide * 0.5 * ((k + 0.5) / len(values) - 0.5) for k in range(len(values))]
-            axis.plot(apart, values, "o", color=colour, alpha=0.55, ms=3.5, mew=0)
-            middle = stats.quartiles(values)[1]
-            axis.plot([x - wide * 0.36, x + wide * 0.36], [middle] * 2, color=colour, lw=2.2)
+            xs = [x + width * 0.5 * ((k + 0.5) / len(values) - 0.5) for k in range(len(values))]
+            axis.plot(xs, values, "o", color=colour, alpha=0.55, ms=3.5, mew=0)
+            median = stats.quartiles(values)[1]
+            axis.plot([x - width * 0.36, x + width * 0.36], [median] * 2, color=colour, lw=2.2)
     for n, kind in enumerate(kinds):
         axis.plot([], [], "o-", color=COLOURS[n % len(COLOURS)], label=kind)
     axis.set_xticks(range(len(groups)), list(groups))
     axis.set_ylabel(label)
 
 
-def bodies(
+def draw_groups(
     file: Path,
     quantities: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]],
 ) -> None:
-    """Draw strips, a row a quantity; falls are logarithmic beyond 1.
+    """Draw one row of ``strips`` per quantity into a file; falls are logarithmic beyond 1.
 
     Args:
         file: PNG or SVG.
-        quantities: label of an axis, group, kind, values.
+        quantities: label of the y axis, name of a group, name of a kind, values of its seeds.
     """
     figure, axes = canvas(len(quantities), 1, height=2.7)
     for axis, (label, groups) in zip(axes[:, 0], quantities.items(), strict=True):
@@ -58,23 +65,28 @@ def bodies(
     save(figure, file)
 
 
-def fall_rates_and(
-    found: Any, kinds: Mapping[str, Mapping[str, str]], groups: Mapping[str, Mapping[str, str]]
+def fall_rates_and_distances(
+    results: Results,
+    kinds: Mapping[str, Mapping[str, str]],
+    groups: Mapping[str, Mapping[str, str]],
 ) -> dict[str, dict[str, dict[str, list[float]]]]:
-    """Return falls per 1000 cycles and distance of arms, by group and kind, for ``bodies``.
+    """Return falls per 1000 cycles and distance per cycle, for ``draw_groups``.
 
     Args:
-        found: what came of an experiment.
+        results: the results of an experiment.
         kinds: name of a kind, labels of its arms.
-        groups: name of a group, labels of its arms.
+        groups: name of a group, labels of its arms. The labels of a kind and of a group together
+            select one arm.
     """
     return {
         label: {
             group: {
-                kind: words.column(words.runs_of(found, **one, **other), name)
-                for kind, other in kinds.items()
+                kind: reporting.column(
+                    reporting.runs_of(results, **group_labels, **kind_labels), name
+                )
+                for kind, kind_labels in kinds.items()
             }
-            for group, one in groups.items()
+            for group, group_labels in groups.items()
         }
         for label, name in MEASURES.items()
     }

@@ -1,4 +1,4 @@
-"""What many seeds say: medians, quartiles, intervals of differences, and a word for them."""
+"""Statistics over seeds: medians, quartiles, confidence intervals, verdicts, survival curves."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 LEVEL = 0.95
+"""Confidence level of all intervals."""
 
 
 class Interval(NamedTuple):
-    """A mean and its 95 % interval."""
+    """A mean and its 95 % confidence interval."""
 
     mean: float
     low: float
     high: float
     n: int
+    """Number of values."""
 
 
 def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
@@ -29,14 +31,15 @@ def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def quartile_curve(values: Floats, bins: int) -> dict[str, list[Any]]:
-    """Return the quartiles over seeds of the means of equal bins of steps.
+    """Return a curve over steps: bin means of each seed, then their quartiles over the seeds.
 
     Args:
-        values: ``(seeds, steps)``.
-        bins: of which there are fewer where there are fewer steps.
+        values: one value per seed and step, ``(seeds, steps)``.
+        bins: number of bins; at most one per step.
 
     Returns:
-        ``steps``, the last of each bin, and ``low``, ``median`` and ``high``, rounded.
+        ``steps``: number of the last step of each bin; ``low``, ``median``, ``high``: the
+        quartiles, rounded to five decimals.
     """
     parts = np.array_split(values, min(bins, values.shape[1]), axis=1)
     means = np.stack([part.mean(axis=1) for part in parts], axis=1)
@@ -50,51 +53,65 @@ def quartile_curve(values: Floats, bins: int) -> dict[str, list[Any]]:
 
 
 def interval(values: Sequence[float]) -> Interval:
-    """Return the mean with its 95 % interval by Student's t: seeds are few."""
+    """Return the mean with its 95 % confidence interval, from Student's t distribution."""
     from scipy import stats
 
     data = np.asarray(values, dtype=float)
     mean, n = float(data.mean()), len(data)
     if n < 2 or np.ptp(data) == 0.0:
         return Interval(mean, mean, mean, n)
-    reach = float(stats.t.ppf(0.5 + LEVEL / 2, n - 1) * data.std(ddof=1) / np.sqrt(n))
-    return Interval(mean, mean - reach, mean + reach, n)
+    half_width = float(stats.t.ppf(0.5 + LEVEL / 2, n - 1) * data.std(ddof=1) / np.sqrt(n))
+    return Interval(mean, mean - half_width, mean + half_width, n)
 
 
-def share_interval(count: int, of: int) -> tuple[float, float]:
-    """Return the exact 95 % interval of a share (Clopper and Pearson)."""
+def share_interval(count: int, total: int) -> tuple[float, float]:
+    """Return the exact 95 % confidence interval of a share (Clopper and Pearson)."""
     from scipy import stats
 
-    found = stats.binomtest(count, of).proportion_ci(LEVEL)
-    return float(found.low), float(found.high)
+    limits = stats.binomtest(count, total).proportion_ci(LEVEL)
+    return float(limits.low), float(limits.high)
 
 
-def difference(one: Sequence[float], other: Sequence[float]) -> Interval:
-    """Return the interval of ``one - other``, seed by seed."""
-    return interval([a - b for a, b in zip(one, other, strict=True)])
+def difference(minuend: Sequence[float], subtrahend: Sequence[float]) -> Interval:
+    """Return the mean and interval of ``minuend - subtrahend``, paired by seed."""
+    return interval([a - b for a, b in zip(minuend, subtrahend, strict=True)])
 
 
-def verdict(found: Interval, *, claimed: int) -> str:
-    """Return ``holds``, ``fails`` or ``unclear`` for a claimed sign of a difference.
+def verdict(interval: Interval, *, claimed: int) -> str:
+    """Return the verdict on the claim that a difference has a certain sign.
 
-    Unclear is an interval that has 0 in it, or one seed alone.
+    Args:
+        interval: the difference.
+        claimed: its claimed sign, 1 or -1.
+
+    Returns:
+        ``holds`` or ``fails``; ``unclear`` if the interval contains 0 or there is only one seed.
     """
-    if found.n < 2 or found.low <= 0.0 <= found.high:
+    if interval.n < 2 or interval.low <= 0.0 <= interval.high:
         return "unclear"
-    return "holds" if (found.mean > 0.0) == (claimed > 0) else "fails"
+    return "holds" if (interval.mean > 0.0) == (claimed > 0) else "fails"
 
 
 class Survival(NamedTuple):
-    """A Kaplan-Meier curve: the share that has not failed yet, by steps walked."""
+    """A Kaplan-Meier curve: the share of walkers that have not fallen yet, over the steps."""
 
     steps: list[float]
+    """Steps at which the curve changes, and 0."""
     share: list[float]
     low: list[float]
+    """Lower 95 % confidence limit of the share."""
     high: list[float]
+    """Upper 95 % confidence limit of the share."""
 
 
 def survival(first_falls: Sequence[int | None], cycles: Sequence[int]) -> Survival:
-    """Return the Kaplan-Meier curve; who never fell is censored at the end of its walk."""
+    """Return the Kaplan-Meier curve of the steps to the first fall.
+
+    Args:
+        first_falls: cycle of the first fall of each walker, from 0; None if it never fell. Such a
+            walker is censored at the end of its walk.
+        cycles: length of each walk.
+    """
     from scipy import stats
 
     ends = [
@@ -110,7 +127,9 @@ def survival(first_falls: Sequence[int | None], cycles: Sequence[int]) -> Surviv
     )
     curve = stats.ecdf(data).sf
     with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # no bound where nobody or all are left
+        warnings.simplefilter(
+            "ignore", RuntimeWarning
+        )  # no limits where all or no walkers are left
         bounds = curve.confidence_interval(LEVEL, method="log-log")
     steps = [0.0, *map(float, curve.quantiles)]
     share = [1.0, *map(float, curve.probabilities)]

@@ -1,7 +1,7 @@
 """One run of an experiment as a value: its configuration, the trial it starts from, its results.
 
-A trial's key is the SHA-256 of everything that determines it, including the code, so that the files
-in its folder are what running it again would give.
+The key of a trial is the SHA-256 of everything that determines it, including the code. So the files
+in the folder with this name are the results that another run of the trial would give.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from leg_node.table import Ints, Table
 from leg_node.table_file import load_table, save_table
 
 TILT_RAD, LOW_M = 0.3, 0.36
-"""A cycle with more tilt or lower hips is outside the safe range, whether it fell or not."""
+"""The safe range: a cycle with more tilt or lower hips is outside, with or without a fall."""
 SETTLING_CYCLES = 100
-"""Cycles after which the share of cycles outside is measured once more."""
+"""Cycles at the start that ``outside_settled``, the share of cycles outside, does not include."""
 WINDOW = 500
 """Cycles at the beginning and at the end whose standard deviations are compared."""
 TRACED_CYCLES = 16
 """Cycles at the beginning and at the end whose roll and pitch are saved tick by tick."""
 MIN_VISITS = 20
-"""Visits of a state by each of two legs, from which on their best actions are compared."""
+"""Minimum number of visits of a state by each of two legs, to compare their best actions there."""
 CENTRAL = "central"
 """The policy of one learner for all legs."""
 TABLE, MEASURES, CYCLES = "table.npz", "trial.json", "cycles.npz"
@@ -77,7 +77,7 @@ DECIDES = (
 def code_sha256(*more: str) -> str:
     """Return the SHA-256 of the syntax trees of the modules that determine results.
 
-    Comments, docstrings and line ends do not change it.
+    Comments, docstrings and line breaks have no effect on it.
 
     Args:
         *more: modules to include besides ``DECIDES``.
@@ -106,25 +106,26 @@ def _only_words(statement: ast.stmt) -> bool:
 
 @dataclass(frozen=True)
 class Trial:
-    """A run in the loop."""
+    """The configuration of one run in the loop."""
 
     world: str
+    """``trainer``, ``walker``, or the path of a class."""
     cycles: int
     seed: int
     params: Params = field(default_factory=Params)
     policy: str = "learned"
-    """``learned``, ``scripted``, ``random``, or ``central``."""
+    """``learned``, ``scripted``, ``random``, ``central``, or the path of a class."""
     learning: bool = True
     start: Trial | None = None
-    """The trial whose table it starts from; an empty table for None."""
+    """The trial whose table the run starts from; None for an empty table."""
 
     @functools.cached_property
     def key(self) -> str:
-        """Key of the trial: equal exactly if everything that determines it is equal."""
+        """The key of the trial; it is equal if and only if all that determines it is equal."""
         return self.key_with(versions())
 
     def key_with(self, installed: Mapping[str, str]) -> str:
-        """Return the key of the trial with these versions of the installed packages."""
+        """Return the key that the trial has with these versions of installed packages."""
         content = [
             self.world,
             self.cycles,
@@ -139,9 +140,9 @@ class Trial:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
 
     def _own_modules(self) -> list[str]:
-        """Return the modules of parts that are named by a path and are not in ``DECIDES``.
+        """Return the modules of the user's own parts: those not in ``DECIDES``.
 
-        The modules that these import are not included.
+        Modules that these import are not included.
         """
         paths = [*vars(self.params.parts).values(), self.world, self.policy]
         named = {path.rpartition(".")[0] for path in paths if "." in path}
@@ -155,13 +156,13 @@ class Outcome:
     measures: dict[str, Any]
     """Scalar measures by name."""
     cycles: dict[str, NDArray[np.float64]]
-    """The body's columns of ``cycles.csv``, ``(cycles,)`` each."""
+    """Columns of ``cycles.csv`` of the body by name, ``(cycles,)`` each."""
     traces: NDArray[np.float64]
-    """Roll and pitch, rad, at each tick of the first and of the last ``TRACED_CYCLES`` cycles,
+    """Roll and pitch at each tick of the first and of the last ``TRACED_CYCLES`` cycles, rad,
     ``(2, ticks, 2)``."""
     footfall: NDArray[np.float64]
-    """Share of all legs and cycles with the foot on the ground, in each tick of a leg's own cycle,
-    stance first, ``(ticks,)``."""
+    """Share of legs and cycles with the foot on the ground, for each tick of a leg's own cycle
+    (stance first), ``(ticks,)``."""
 
 
 def is_done(trial: Trial, folder: Path) -> bool:
@@ -184,7 +185,7 @@ class _TickStatistics:
     def __init__(self, trial: Trial, legs: Sequence[str], start: Table | None) -> None:
         params = trial.params
         self.visits: Ints = np.zeros(states_of(make_discretizer(params)), dtype=np.int64)
-        """How often any leg was in each state."""
+        """Number of ticks that any leg was in each state, ``(states,)``."""
         self._ticks = params.gait.ticks
         named = dict(zip(params.robot.legs, params.robot.offset, strict=True))
         self._offsets = [named.get(leg, 0.0) for leg in legs]
@@ -203,15 +204,15 @@ class _TickStatistics:
         for sense, offset, did in zip(senses, self._offsets, transitions, strict=True):
             assert did is not None  # the legs of the loop always return one
             visits[did.next_state] += 1
-            if sense.force_mean > 0.0:  # in the tick that just ended
+            if sense.force_mean > 0.0:  # measured over the tick that just ended
                 down[int((beat.phase + offset) * ticks - 1) % ticks] += 1
 
     def footfall(self, cycles: int) -> NDArray[np.float64]:
-        """Return the share of cycles with the foot on the ground, for each tick of a cycle."""
+        """Return the share of legs and cycles with the foot on the ground, ``(ticks,)``."""
         return np.array(self._down) / (len(self._offsets) * cycles)
 
     def unvisited_share(self) -> float | None:
-        """Return the share of decisions in states that its start never visited."""
+        """Return the share of decisions in states without visits in the start table, if any."""
         if self._visited_at_start is None:
             return None
         return float(self.visits[~self._visited_at_start].sum() / max(1, self.visits.sum()))
@@ -355,7 +356,7 @@ def _share(bits: Sequence[bool]) -> float | None:
 
 
 def _disagreement(tables: Sequence[Table]) -> float | None:
-    """Return the mean share of often visited states in which two legs differ in the best action."""
+    """Return the mean share of often visited states in which two legs have other best actions."""
     shares = []
     for one, other in itertools.combinations(tables, 2):
         known = (visits_of_states(one) >= MIN_VISITS) & (visits_of_states(other) >= MIN_VISITS)

@@ -1,1 +1,1 @@
-"""What came of a run: its record while it runs, its figures and its summary afterwards."""
+"""Statistics, figures and summaries of a run."""

@@ -1,4 +1,4 @@
-"""A figure that a notebook shows, whatever backend it has and whether pyplot is used in it."""
+"""A figure that a notebook can display with any backend and without pyplot."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 
 
 class Picture(Figure):
-    """A matplotlib figure that says itself how it looks."""
+    """A matplotlib figure with its own PNG representation for notebooks."""
 
     def _repr_png_(self) -> bytes:
-        """Return the picture for IPython, which asks where no inline backend is at work yet."""
+        """Return the figure as PNG; IPython calls this if no inline backend is active."""
         out = BytesIO()
         self.savefig(out, format="png")
         return out.getvalue()

@@ -1,7 +1,7 @@
-"""The record of a run, made tick by tick beside it: a line a cycle, and hashes of every signal.
+"""Record a run tick by tick: one row of statistics per cycle, and hashes of all signals.
 
-The direct loop and the sim node feed it the same values in the same order, so that two ways of
-running the same thing can be compared by their hashes. It hears everything and is heard by no one.
+The direct loop and the sim node pass the same values in the same order, so that runs of two
+backends can be compared by their hashes. The record has no influence on the run.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from ember_ros.params import Params
 from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 
 CYCLES, MEASURED, TRACES = "cycles.csv", "measured.json", "traces.npy"
-"""The files of a record: lines a cycle, the summary, and the body's pose at every tick."""
+"""The files of a record: one row per cycle and module, the summary, the body's pose per tick."""
 TRACE = ("x_m", "y_m", "roll_rad", "pitch_rad", "yaw_rad")
-"""The columns of ``traces.npy``; yaw goes on past half a turn, it does not jump back."""
+"""The columns of ``traces.npy``; yaw is continuous, it is not limited to +-pi."""
 BODY = "body"
 WINDOW = 200
-"""Cycles at the beginning and at the end that the summary speaks of; half of a shorter run each."""
+"""Cycles at the start and at the end whose means are in the summary; at most half of a run each."""
 
 _SENSE = struct.Struct("<q8d3?")
 _COMMAND = struct.Struct("<q4d")
@@ -39,40 +39,41 @@ _TRANSITION = struct.Struct("<2q?qq?d")
 
 
 class Row(NamedTuple):
-    """One line of ``cycles.csv``: a cycle of the CPG, seen by one leg or by the body."""
+    """One row of ``cycles.csv``: the statistics of one leg or of the body over one cycle."""
 
     cycle: int
     module: str
     """A leg's name, or ``body``."""
     peak_force_n: float
-    """Largest vertical force on a foot."""
+    """Largest vertical force on a foot, N; for the body the largest over the legs."""
     reward: float
-    """Mean over the cycle's ticks that were credited, 0 where there is none; the last tick of a run
-    is not: what it was worth would be known one tick later."""
+    """Mean reward over the ticks of the cycle that have one, 0 if there are none. The last tick of
+    a run has none, because its reward would be known one tick later."""
     contact_share: float | None
-    """Share of stance ticks with the foot on the ground; None of a leg that says no stance."""
+    """Share of stance ticks with the foot on the ground; None for a leg that reports no stance."""
     duty_factor: float
     """Share of all ticks with the foot on the ground."""
     slip_m: float
-    """Way the foot slid on the ground; for the body the mean over legs."""
+    """Distance that the foot slid on the ground, m; for the body the mean over the legs."""
     distance_m: float | None
-    """Progress along the heading at the cycle's start; this and the rest for the body only."""
+    """Distance along the heading at the start of the cycle, m; this and the following columns are
+    None for a leg."""
     turn_rad: float | None
-    """Change of heading, to the left positive."""
+    """Change of heading, rad, positive to the left."""
     yaw_rad: float | None
-    """Heading at the cycle's end; whole turns count."""
+    """Heading at the end of the cycle, rad, whole turns included."""
     roll_sd_rad: float | None
     pitch_sd_rad: float | None
     tilt_max_rad: float | None
-    """Largest absolute roll or pitch."""
+    """Largest absolute roll or pitch, rad."""
     height_min_m: float | None
-    """Least height of the hips."""
+    """Least height of the hips, m."""
     falls: int | None
-    """Falls in this cycle."""
+    """Number of falls in this cycle."""
 
 
 class _Sums:
-    """One leg's sums over a cycle."""
+    """Sums of one leg over a cycle."""
 
     __slots__ = ("contact", "credited", "down", "known", "peak", "slip", "stance", "terms")
 
@@ -80,57 +81,60 @@ class _Sums:
         self.peak = self.slip = 0.0
         self.contact = self.down = self.known = self.stance = 0
         self.credited = 0
-        """Ticks for which a reward was published."""
+        """Number of ticks with a reward."""
         self.terms: dict[str, float] = {}
-        """The reward by term, added up over them."""
+        """Sum of each reward term over these ticks."""
 
     def share(self) -> float | None:
-        """Return the share of stance ticks with the foot on the ground."""
+        """Return the share of stance ticks with the foot on the ground; None if it is not known."""
         if self.stance:
             return self.contact / self.stance
         return 0.0 if self.known else None
 
     def reward(self) -> dict[str, float]:
-        """Return the mean reward a tick, by term."""
+        """Return the mean of each reward term per tick."""
         return {name: total / self.credited for name, total in self.terms.items()}
 
 
 class RunStatistics:
-    """Keeps a line a cycle and the hashes; give it every tick, then ``finish``."""
+    """Record statistics and hashes of a run: call ``tick`` for every tick, then ``finish``."""
 
     def __init__(self, params: Params, legs: Sequence[str], folder: Path | None = None) -> None:
-        """Begin a record.
+        """Start a record.
 
         Args:
-            params: for the ticks of a cycle.
-            legs: their names, in order.
-            folder: where ``cycles.csv`` grows line by line, and where ``finish`` writes
-                ``measured.json`` and ``traces.npy``; nowhere for None.
+            params: the parameters of the run.
+            legs: the names of the legs, in order.
+            folder: ``cycles.csv`` is written there row by row, and ``measured.json`` and
+                ``traces.npy`` by ``finish``; without it no files are written.
 
         Raises:
             ParameterError: the folder cannot be written.
         """
         self.rows: list[Row] = []
         self.traces = array("d")
-        """The pose of the body at each tick, as in ``TRACE``, one after the other."""
+        """The pose of the body at each tick, columns as in ``TRACE``, as a flat array."""
         self._legs = tuple(legs)
         self.terms: list[dict[str, float]] = []
-        """Mean reward a tick by term and over legs, of each cycle."""
+        """For each cycle, the mean of each reward term per tick and leg."""
         self._senses_hash, self._commands_hash = hashlib.sha256(), hashlib.sha256()
         self._transitions_hash = hashlib.sha256()
-        self._senses, self._commands = bytearray(), bytearray()  # of this cycle, to be hashed
+        self._senses, self._commands = (
+            bytearray(),
+            bytearray(),
+        )  # packed signals of this cycle, to be hashed
         self._transitions = bytearray()
         self._sums = [_Sums() for _ in legs]
         self._beat: Beat | None = None
         self._poses: list[BodyState] = []  # at the start of each tick of this cycle
         self._body = BodyState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
-        self._turns = 0  # of the body so far, whole ones
+        self._turns = 0  # whole turns of the body so far
         self._stances: list[bool | None] = []
-        """Of the tick that was given last; None of a leg that did not say."""
+        """Whether each leg is in stance in the latest tick; None if the leg did not report it."""
         self._first_fall: int | None = None
         self._absences = dict.fromkeys(legs, 0)
         self._folder = folder
-        self._began: float | None = None  # wall time, for the summary alone
+        self._began: float | None = None  # wall time, used in the summary only
         self._wall = 0.0
         self._file: TextIO | None = None
         if folder is not None:
@@ -152,7 +156,7 @@ class RunStatistics:
         body: BodyState,
         transitions: Sequence[Transition | None],
     ) -> None:
-        """Take one complete tick: senses, commands, and transitions of the tick before."""
+        """Record one complete tick: senses and commands, and the transitions of the tick before."""
         if self._began is None:
             self._began = time.perf_counter()
         self._end_tick(senses, body, transitions, int(beat.phase))
@@ -172,7 +176,7 @@ class RunStatistics:
         ]
 
     def finish(self, senses: Sequence[LegSense], body: BodyState) -> None:
-        """Take the senses after the last tick, end the last cycle, and close the file."""
+        """Record the senses after the last tick, end the last cycle, and close the file."""
         if self._beat is not None:
             self._wall = time.perf_counter() - (self._began or 0.0)
             self._end_tick(senses, body, [None] * len(self._legs), None)
@@ -191,14 +195,18 @@ class RunStatistics:
         transitions: Sequence[Transition | None],
         cycle: int | None,
     ) -> None:
-        """Take what the senses say of the tick that just ended.
+        """Add the tick that just ended, as measured by the senses, to the sums of its cycle.
 
-        Its cycle ends if it was the last one: if the tick that begins belongs to another ``cycle``.
+        Args:
+            senses: the senses at its end.
+            body: the state of the body at its end.
+            transitions: its transitions.
+            cycle: the cycle of the tick that starts now; if it is another one, the cycle ends.
         """
         before, self._body = self._body, body
         if self._beat is None:
             return
-        self._turns += round((before.yaw - body.yaw) / math.tau)  # it jumped where it passed pi
+        self._turns += round((before.yaw - body.yaw) / math.tau)  # yaw jumps where it passes pi
         for sums, transition in zip(self._sums, transitions, strict=True):
             if transition is not None and transition.credited:
                 sums.credited += 1
@@ -222,6 +230,7 @@ class RunStatistics:
             self._end_cycle()
 
     def _end_cycle(self) -> None:
+        """Write the rows of the cycle that just ended, update the hashes, and reset the sums."""
         assert self._beat is not None
         cycle, poses = int(self._beat.phase), self._poses
         start, end, ticks, n_legs = poses[0], self._body, len(poses), len(self._legs)
@@ -268,22 +277,22 @@ class RunStatistics:
         self._sums = [_Sums() for _ in self._legs]
 
     def _yaw(self) -> float:
-        """Return the body's heading, whole turns counted, rad."""
+        """Return the heading of the body, rad, whole turns included."""
         return self._body.yaw + self._turns * math.tau
 
     def body_rows(self) -> list[Row]:
-        """Return the body's lines, one a cycle."""
+        """Return the rows of the body, one per cycle."""
         return self.rows[len(self._legs) :: len(self._legs) + 1]
 
     def record(self) -> RunRecord:
-        """Return the record as it is now."""
+        """Return the record up to now."""
         traces = np.frombuffer(self.traces).reshape(-1, len(TRACE)).copy()
         return RunRecord(list(self.rows), traces, self.summary())
 
     def summary(self) -> dict[str, Any]:
-        """Return what ``summary.json`` says of the run itself: plain numbers by name."""
+        """Return the measures of the run for ``summary.json``, by name."""
         rows = self.body_rows()
-        window = min(WINDOW, max(1, len(rows) // 2))  # so that the two do not overlap
+        window = min(WINDOW, max(1, len(rows) // 2))  # the two windows must not overlap
         traces = np.frombuffer(self.traces).reshape(-1, len(TRACE))
         return {
             "cycles": len(rows),
@@ -305,7 +314,7 @@ class RunStatistics:
 
 
 class RunRecord(NamedTuple):
-    """A finished record, as it lies in its folder."""
+    """A finished record, as in the files of its folder."""
 
     rows: list[Row]
     traces: np.ndarray[Any, np.dtype[np.float64]]
@@ -313,12 +322,12 @@ class RunRecord(NamedTuple):
     measured: dict[str, Any]
 
     def body_rows(self) -> list[Row]:
-        """Return the body's lines, one a cycle."""
+        """Return the rows of the body, one per cycle."""
         return [row for row in self.rows if row.module == BODY]
 
 
 def save_record(folder: Path, record: RunRecord) -> None:
-    """Write a finished record as a recorder leaves it; the lines a cycle come last.
+    """Write a finished record into a folder, ``cycles.csv`` last.
 
     Raises:
         OSError: the folder cannot be written.
@@ -348,7 +357,7 @@ def load_record(folder: Path) -> RunRecord:
 
 
 def _packed(transition: Transition | None) -> bytes:
-    """Return the bytes of a transition that are hashed."""
+    """Return the bytes of a transition for the hash."""
     if transition is None:
         return b"\0"
     values = [value for _, value in transition.terms]
@@ -357,12 +366,13 @@ def _packed(transition: Transition | None) -> bytes:
 
 
 def _mean(values: Iterable[float | None]) -> float | None:
+    """Return the mean of the values that are not None; None if there are none."""
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if known else None
 
 
 def _window(rows: Sequence[Row], terms: Sequence[dict[str, float]]) -> dict[str, Any]:
-    """Return means over some of the body's lines, and of the reward by term."""
+    """Return means over some rows of the body, and of each reward term."""
     names = dict.fromkeys(name for each in terms for name in each)
     return {
         "cycles": len(rows),

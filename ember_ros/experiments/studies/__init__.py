@@ -1,1 +1,1 @@
-"""One experiment a file: its arms, its curves, its text and its figure."""
+"""The experiments, one per file: each defines its arms, curves, claims, text and figure."""

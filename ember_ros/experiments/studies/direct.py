@@ -1,4 +1,4 @@
-"""The direct approach: do legs that know nothing learn to walk on the body?"""
+"""The direct approach: legs with an empty table learn to walk on the body."""
 
 from __future__ import annotations
 
@@ -7,147 +7,188 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ember_ros.experiments import plots, stats, words
-from ember_ros.experiments.study import BODIES, LEARNERS, Arm, Size, Study, company, trained_arm
+from ember_ros.experiments import plots, reporting, stats
+from ember_ros.experiments.reporting import Claim, Results
+from ember_ros.experiments.study import (
+    BODIES,
+    LEARNERS,
+    Arm,
+    Size,
+    Study,
+    baseline_arms,
+    trained_arm,
+)
 from ember_ros.experiments.trial import Outcome
-from ember_ros.experiments.words import Claim, Found
 
 QUARTERS = 4
-FALLS_LEFT, WAY_GONE = 0.1, 0.5
-"""Shares of a random knee's falls and of the scripted knee's way that are called walking."""
-PROVES = 20.0
-"""Falls per 1000 cycles of a random knee under which a body proves nothing."""
+MAX_RELATIVE_FALLS, MIN_RELATIVE_DISTANCE = 0.1, 0.5
+"""Criteria for successful walking: falls relative to the random knee, and distance relative to the
+scripted knee."""
+MIN_RANDOM_FALL_RATE = 20.0
+"""Falls per 1000 cycles of the random knee; in a body with fewer the experiment is inconclusive."""
 STARTS = ("trained table", "empty table")
 
 
 def arms(size: Size) -> list[Arm]:
-    """Return trained walkers of both learners in every body, and who walks beside them."""
-    found = []
+    """Return trained walkers of both learners in every body, and the baselines."""
+    all_arms = []
     for body in BODIES:
-        found += [trained_arm(body, learner, size) for learner in LEARNERS]
-        found += company(body, size)
-    return found
+        all_arms += [trained_arm(body, learner, size) for learner in LEARNERS]
+        all_arms += baseline_arms(body, size)
+    return all_arms
 
 
-def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
-    """Return falls and mean distance of each quarter of each walk."""
-    found: dict[str, Any] = {}
-    for arm, outcomes in known:
+def curves(outcomes_by_arm: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
+    """Return the falls and the mean distance, m per cycle, in each quarter of each walk."""
+    by_name: dict[str, Any] = {}
+    for arm, outcomes in outcomes_by_arm:
         name = "/".join(arm.labels.values())
         falls = [np.array_split(each.cycles["falls"], QUARTERS) for each in outcomes]
-        ways = [np.array_split(each.cycles["distance_m"], QUARTERS) for each in outcomes]
-        found[f"{name}/falls"] = [[int(p.sum()) for p in parts] for parts in falls]
-        found[f"{name}/way"] = [
-            [round(float(p.mean()), 5) for p in parts if len(p)] for parts in ways
+        distances = [np.array_split(each.cycles["distance_m"], QUARTERS) for each in outcomes]
+        by_name[f"{name}/falls"] = [[int(q.sum()) for q in quarters] for quarters in falls]
+        by_name[f"{name}/way"] = [
+            [round(float(q.mean()), 5) for q in quarters if len(q)] for quarters in distances
         ]
-    return found
+    return by_name
 
 
-class Walk(NamedTuple):
-    """How walkers do in the last quarter, beside a random and a scripted knee in the same body."""
+class RelativePerformance(NamedTuple):
+    """Falls and distance in the last quarter of the walks, relative to two baselines."""
 
     falls: stats.Interval
-    """Share of the random knee's falls."""
-    way: stats.Interval
-    """Share of the scripted knee's way."""
+    """Falls divided by those of the random knee."""
+    distance: stats.Interval
+    """Distance divided by that of the scripted knee."""
 
     @property
-    def walks(self) -> bool:
-        """Whether the intervals are beyond both bars."""
-        return self.falls.n > 1 and self.falls.high <= FALLS_LEFT and self.way.low >= WAY_GONE
+    def succeeds(self) -> bool:
+        """Whether both intervals meet their criteria completely."""
+        return (
+            self.falls.n > 1
+            and self.falls.high <= MAX_RELATIVE_FALLS
+            and self.distance.low >= MIN_RELATIVE_DISTANCE
+        )
 
     @property
     def fails(self) -> bool:
-        """Whether one of the intervals is short of its bar."""
-        return self.falls.n > 1 and (self.falls.low > FALLS_LEFT or self.way.high < WAY_GONE)
+        """Whether one of the intervals misses its criterion completely."""
+        return self.falls.n > 1 and (
+            self.falls.low > MAX_RELATIVE_FALLS or self.distance.high < MIN_RELATIVE_DISTANCE
+        )
 
-    def told(self) -> str:
-        """Return both shares."""
+    def as_text(self) -> str:
+        """Return both values with their intervals."""
         return (
-            f"{words.told(self.falls, '.0%', '')} of a random knee's falls, "
-            f"{words.told(self.way, '.0%', '')} of the scripted knee's way"
+            f"{reporting.with_interval(self.falls, '.0%', '')} of the falls of the random knee, "
+            f"{reporting.with_interval(self.distance, '.0%', '')} of the distance of the scripted "
+            "knee"
         )
 
 
-def in_the_end(found: Found, body: str, walker: str, learner: str) -> Walk | None:
-    """Return how walkers do in the last quarter; None where a random knee hardly falls."""
-    curves = found["curves"]
+def last_quarter(
+    results: Results, body: str, walker: str, learner: str
+) -> RelativePerformance | None:
+    """Return the performance in the last quarter; None if the random knee falls too rarely."""
+    curves = results["curves"]
     random = [falls[-1] for falls in curves[f"{body}/random knee/-/falls"]]
-    each = sum(random) / len(random)
-    cycles = found["arms"][0]["runs"][0]["cycles"] / QUARTERS
-    if 1000.0 * each / cycles < PROVES:
+    mean = sum(random) / len(random)
+    cycles = results["arms"][0]["runs"][0]["cycles"] / QUARTERS
+    if 1000.0 * mean / cycles < MIN_RANDOM_FALL_RATE:
         return None
     scripted = curves[f"{body}/scripted knee/-/way"][0][-1]
     name = f"{body}/{walker}/{learner}"
-    return Walk(
-        stats.interval([falls[-1] / each for falls in curves[f"{name}/falls"]]),
-        stats.interval([way[-1] / scripted for way in curves[f"{name}/way"]]),
+    return RelativePerformance(
+        stats.interval([falls[-1] / mean for falls in curves[f"{name}/falls"]]),
+        stats.interval([distance[-1] / scripted for distance in curves[f"{name}/way"]]),
     )
 
 
-def claims(found: Found) -> list[Claim]:
-    """Say whether training first is needed, and whether it helps."""
-    lines = []
+def claims(results: Results) -> list[Claim]:
+    """Test whether training before the walk is necessary, and whether it helps."""
+    all_claims = []
     for body in BODIES:
         for learner in LEARNERS:
-            first, empty = (
-                words.runs_of(found, body=body, walker=start, learner=learner) for start in STARTS
+            trained, empty = (
+                reporting.runs_of(results, body=body, walker=start, learner=learner)
+                for start in STARTS
             )
-            where = f"`{learner}`, {body}"
-            walk, other = (in_the_end(found, body, start, learner) for start in reversed(STARTS))
-            word, told = "unclear", "a random knee hardly falls here: it proves nothing"
-            if walk is not None and other is not None:
-                told = f"{walk.told()}; with trained legs {other.told()}"
-                if walk.walks:
-                    word = "fails"
-                elif walk.fails and other.walks:
-                    word = "holds"
-            lines.append(
-                Claim("the direct approach does not work, training first does", where, told, word)
+            scope = f"`{learner}`, {body}"
+            trained_walk, direct_walk = (
+                last_quarter(results, body, start, learner) for start in STARTS
             )
-            for says, name, form, more in (
-                ("without training they fall more", words.FALL_RATE, ".1f", (empty, first)),
-                ("without training they earn less", "reward", ".3f", (first, empty)),
+            verdict, evidence = "unclear", "the random knee falls too rarely in this body"
+            if direct_walk is not None and trained_walk is not None:
+                evidence = f"{direct_walk.as_text()}; trained legs: {trained_walk.as_text()}"
+                if direct_walk.succeeds:
+                    verdict = "fails"
+                elif direct_walk.fails and trained_walk.succeeds:
+                    verdict = "holds"
+            all_claims.append(
+                Claim(
+                    "the direct approach does not work, but training first does",
+                    scope,
+                    evidence,
+                    verdict,
+                )
+            )
+            for statement, name, form, unit, higher, lower in (
+                (
+                    "legs without training fall more often",
+                    reporting.FALL_RATE,
+                    ".1f",
+                    "falls per 1000 (untrained - trained)",
+                    empty,
+                    trained,
+                ),
+                (
+                    "legs without training get less reward",
+                    "reward",
+                    ".3f",
+                    "reward per tick (trained - untrained)",
+                    trained,
+                    empty,
+                ),
             ):
-                much = words.more(*more, name)
-                lines.append(
+                difference = reporting.paired_difference(higher, lower, name)
+                all_claims.append(
                     Claim(
-                        says,
-                        where,
-                        f"{words.told(much, form)} "
-                        f"{'falls per 1000' if name == words.FALL_RATE else 'reward a tick'}",
-                        stats.verdict(much, claimed=1),
+                        statement,
+                        scope,
+                        f"{reporting.with_interval(difference, form)} {unit}",
+                        stats.verdict(difference, claimed=1),
                     )
                 )
-    return lines
+    return all_claims
 
 
-def text(found: Found) -> list[str]:
-    """Say what came of it."""
-    lines = []
+def text(results: Results) -> list[str]:
+    """Return the tables and their explanation."""
+    rows = []
     for body in BODIES:
         for learner in LEARNERS:
             cells = [body, learner]
             for start in reversed(STARTS):
-                falls = np.sum(found["curves"][f"{body}/{start}/{learner}/falls"], axis=0)
+                falls = np.sum(results["curves"][f"{body}/{start}/{learner}/falls"], axis=0)
                 cells.append(", ".join(map(str, falls.tolist())))
-            lines.append(cells)
+            rows.append(cells)
     return [
-        "The direct approach is said to work where legs that know nothing, in the last quarter of "
-        f"the budget, fall at most {FALLS_LEFT:.0%} as often as a random knee and go at least "
-        f"{WAY_GONE:.0%} of the scripted knee's way; that it does not is said only where trained "
-        "legs pass these bars. (They were set when the runs were known.) Falls by quarter, all "
-        "seeds together:",
+        "Criteria: the direct approach works if, in the last quarter of the walk, untrained legs "
+        f"fall at most {MAX_RELATIVE_FALLS:.0%} as often as the random knee and walk at least "
+        f"{MIN_RELATIVE_DISTANCE:.0%} of the distance of the scripted knee. The claim that it does "
+        "not work holds only if trained legs meet these criteria. In a body in which the random "
+        f"knee falls less than {MIN_RANDOM_FALL_RATE:.0f} times per 1000 cycles the result is "
+        "*unclear*. (The criteria were chosen after the results were known.) Falls in each quarter "
+        "of the walk, summed over all seeds:",
         "",
-        *words.grid(("body", "learner", "empty table", "trained table"), lines),
+        *reporting.markdown_table(("body", "learner", "empty table", "trained table"), rows),
         "",
-        *words.walkers(found["arms"]),
+        *reporting.walker_table(results["arms"]),
         "",
-        words.WALKERS_NOTE,
+        reporting.WALKER_TABLE_NOTE,
     ]
 
 
-def draw(found: Found, file: Path) -> None:
+def draw(results: Results, file: Path) -> None:
     """Draw falls and distance of every walker in every body."""
     kinds = {
         f"{start}, {learner}": {"walker": start, "learner": learner}
@@ -155,14 +196,14 @@ def draw(found: Found, file: Path) -> None:
         for learner in LEARNERS
     } | {"random knee": {"walker": "random knee"}, "scripted knee": {"walker": "scripted knee"}}
     groups = {body: {"body": body} for body in BODIES}
-    plots.bodies(file, plots.fall_rates_and(found, kinds, groups))
+    plots.draw_groups(file, plots.fall_rates_and_distances(results, kinds, groups))
 
 
 STUDY = Study(
     "direct",
     "The direct approach: an empty table on the body",
     'a robot must first be stable enough for a few steps; "the direct approach does not work", '
-    "so legs are trained alone first.",
+    "so the legs are first trained alone.",
     arms,
     text,
     draw,

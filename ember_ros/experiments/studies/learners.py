@@ -1,13 +1,20 @@
-"""What `ember` adds to `plain`, each part alone and each part left out."""
+"""The parts that `ember` adds to `plain`: each one added alone, and each one left out."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from ember_ros.experiments import plots, words
-from ember_ros.experiments.study import Arm, Size, Study, company, numbers, trained_arm
-from ember_ros.experiments.words import Found
+from ember_ros.experiments import plots, reporting
+from ember_ros.experiments.reporting import Results
+from ember_ros.experiments.study import (
+    Arm,
+    Size,
+    Study,
+    baseline_arms,
+    learner_params,
+    trained_arm,
+)
 from ember_ros.params import as_dict
 from ember_ros.report.figures import INK, canvas, save
 
@@ -19,132 +26,141 @@ PARTS: dict[str, tuple[str, ...]] = {
     "explore": ("epsilon_start", "epsilon_end"),
     "lead": ("reward.lead",),
 }
-"""Names of a stage's numbers, or of one number, that belong to each part."""
+"""The parameters of each part: fields of both learning stages, or a full name with a dot."""
 MEANING = {
-    "counts": "rates of 1/visits down to a floor, from true visit counts",
-    "prior": "an untried action is a little worse than its state, not 0",
-    "smooth": "neighbouring states and actions have a say",
-    "explore": "on the trainer random actions at first, on the body none",
-    "lead": "the last ticks of swing are rewarded as stance is",
+    "counts": "learning rates of 1/visits with a lower limit, from exact visit counts",
+    "prior": "an untried action is estimated a little worse than its state, instead of 0",
+    "smooth": "the estimate of a cell includes neighbouring states and actions",
+    "explore": "on the trainer, many random actions at first; on the body, none",
+    "lead": "in the last ticks of swing, a leg is rewarded as in stance",
 }
 
 
 def changes(learner: str, parts: tuple[str, ...]) -> dict[str, Any]:
-    """Return a learner's numbers of some parts, by full name."""
-    every = as_dict(numbers(learner))
-    found: dict[str, Any] = {}
+    """Return the values that a learner has for the parameters of some parts.
+
+    Args:
+        learner: ``plain`` or ``ember``.
+        parts: names of ``PARTS``.
+
+    Returns:
+        Values by full name, with ``__`` for the dot.
+    """
+    params = as_dict(learner_params(learner))
+    values: dict[str, Any] = {}
     for part in parts:
         for name in PARTS[part]:
-            if "." in name:
-                group, each = name.split(".")
-                found[f"{group}__{each}"] = every[group][each]
-            else:
-                found |= {f"{stage}__{name}": every[stage][name] for stage in ("train", "walk")}
-    return found
+            for full_name in _full_names(name):
+                group, field = full_name.split(".")
+                values[f"{group}__{field}"] = params[group][field]
+    return values
+
+
+def _full_names(name: str) -> list[str]:
+    """Return the full names of a parameter of ``PARTS``."""
+    return [name] if "." in name else [f"{stage}.{name}" for stage in ("train", "walk")]
 
 
 def variants() -> dict[str, tuple[str, dict[str, Any]]]:
-    """Return name, learner to start from, and what is changed."""
-    found: dict[str, tuple[str, dict[str, Any]]] = {"plain": ("plain", {})}
-    found |= {f"plain + {part}": ("plain", changes("ember", (part,))) for part in PARTS}
-    found |= {f"ember - {part}": ("ember", changes("plain", (part,))) for part in PARTS}
-    return found | {"ember": ("ember", {})}
+    """Return all variants: name, learner to start from, and changed parameters."""
+    by_name: dict[str, tuple[str, dict[str, Any]]] = {"plain": ("plain", {})}
+    by_name |= {f"plain + {part}": ("plain", changes("ember", (part,))) for part in PARTS}
+    by_name |= {f"ember - {part}": ("ember", changes("plain", (part,))) for part in PARTS}
+    return by_name | {"ember": ("ember", {})}
 
 
 def arms(size: Size) -> list[Arm]:
-    """Return walkers of every variant, and who walks beside them."""
-    found = []
-    few = size._replace(seeds=size.few)
+    """Return walkers of every variant, and the baselines."""
+    all_arms = []
+    reduced = size._replace(seeds=size.reduced_seeds)
     for body in BODIES:
-        for name, (learner, other) in variants().items():
-            found.append(trained_arm(body, learner, few, name=name, **other))
-        for arm in company(body, few):
+        for name, (learner, changed) in variants().items():
+            all_arms.append(trained_arm(body, learner, reduced, name=name, **changed))
+        for arm in baseline_arms(body, reduced):
             labels = dict(arm.labels)
-            if labels["walker"] == "empty table":  # not a variant, though its learner is called so
+            if labels["walker"] == "empty table":  # otherwise its learner is also that of a variant
                 labels["learner"] += ", empty"
-            found.append(Arm(labels, arm.trials))
-    return found
+            all_arms.append(Arm(labels, arm.trials))
+    return all_arms
 
 
-def text(found: Found) -> list[str]:
-    """Say what came of it."""
-    both = {learner: as_dict(numbers(learner)) for learner in ("plain", "ember")}
-    switches, lines = [], []
+def text(results: Results) -> list[str]:
+    """Return the tables and their explanation."""
+    params = {learner: as_dict(learner_params(learner)) for learner in ("plain", "ember")}
+    parameter_rows, effect_rows = [], []
     for part, names in PARTS.items():
-        for name in names:
-            for full in [name] if "." in name else [f"{s}.{name}" for s in ("train", "walk")]:
-                group, each = full.split(".")
-                values = [str(both[learner][group][each]) for learner in ("plain", "ember")]
-                if values[0] != values[1]:
-                    switches.append((part, f"`{full}`", *values, MEANING[part]))
+        for full_name in [each for name in names for each in _full_names(name)]:
+            group, field = full_name.split(".")
+            values = [str(params[learner][group][field]) for learner in ("plain", "ember")]
+            if values[0] != values[1]:
+                parameter_rows.append((part, f"`{full_name}`", *values, MEANING[part]))
     for body in BODIES:
-        whole, none = (
-            words.runs_of(found, body=body, learner=learner) for learner in ("ember", "plain")
+        ember, plain = (
+            reporting.runs_of(results, body=body, learner=learner) for learner in ("ember", "plain")
         )
         for part in PARTS:
-            alone = words.runs_of(found, body=body, learner=f"plain + {part}")
-            left = words.runs_of(found, body=body, learner=f"ember - {part}")
-            lines.append(
-                (
-                    body,
-                    part,
-                    words.told(words.more(alone, none, words.FALL_RATE), ".1f"),
-                    words.told(words.more(alone, none, "distance_m")),
-                    words.told(words.more(left, whole, words.FALL_RATE), ".1f"),
-                    words.told(words.more(left, whole, "distance_m")),
-                )
-            )
+            added = reporting.runs_of(results, body=body, learner=f"plain + {part}")
+            left_out = reporting.runs_of(results, body=body, learner=f"ember - {part}")
+            cells = [body, part]
+            for changed, unchanged in ((added, plain), (left_out, ember)):
+                for measure, form in ((reporting.FALL_RATE, ".1f"), ("distance_m", ".3f")):
+                    difference = reporting.paired_difference(changed, unchanged, measure)
+                    cells.append(reporting.with_interval(difference, form))
+            effect_rows.append(cells)
     return [
-        "`plain` is the paper's learner (`--params plain`); `ember` the default. They differ in:",
+        "`plain` is the learner of the paper (`--params plain`), `ember` is the default. They "
+        "differ in these parameters:",
         "",
-        *words.grid(("part", "parameter", "plain", "ember", "meaning"), switches),
+        *reporting.markdown_table(
+            ("part", "parameter", "plain", "ember", "meaning"), parameter_rows
+        ),
         "",
-        "What a part does, seed by seed: added to `plain` alone, and left out of `ember`:",
+        "Effect of each part, as a difference paired by seed: the part added to `plain` (compared "
+        "with `plain`), and the part left out of `ember` (compared with `ember`):",
         "",
-        *words.grid(
+        *reporting.markdown_table(
             (
                 "body",
                 "part",
-                "alone: falls per 1000",
-                "alone: distance, m",
-                "left out: falls per 1000",
-                "left out: distance, m",
+                "added: falls per 1000 cycles",
+                "added: distance per cycle, m",
+                "left out: falls per 1000 cycles",
+                "left out: distance per cycle, m",
             ),
-            lines,
+            effect_rows,
         ),
         "",
-        *words.walkers(found["arms"]),
+        *reporting.walker_table(results["arms"]),
         "",
-        words.WALKERS_NOTE,
+        reporting.WALKER_TABLE_NOTE,
     ]
 
 
-def draw(found: Found, file: Path) -> None:
+def draw(results: Results, file: Path) -> None:
     """Draw falls and distance of every variant."""
-    names = list(variants())
     figure, axes = canvas(2, 2, width=12.0, height=3.2)
-    for across, body in enumerate(BODIES):
-        for down, (label, measure) in enumerate(plots.MEASURES.items()):
+    for column, body in enumerate(BODIES):
+        for row, (label, measure) in enumerate(plots.MEASURES.items()):
             groups = {}
-            for name in names:
-                values = words.column(words.runs_of(found, body=body, learner=name), measure)
-                short = name.replace("plain + ", "+\n").replace("ember - ", "-\n")
-                groups[short] = {"": values}
-            axis = axes[down, across]
+            for name in variants():
+                runs = reporting.runs_of(results, body=body, learner=name)
+                short_name = name.replace("plain + ", "+\n").replace("ember - ", "-\n")
+                groups[short_name] = {"": reporting.column(runs, measure)}
+            axis = axes[row, column]
             plots.strips(axis, groups, label)
             axis.tick_params(axis="x", labelsize=7)
-            if down == 0:
+            if row == 0:
                 axis.set_yscale("symlog", linthresh=1.0)
                 axis.set_ylim(bottom=-0.2)
-                axis.set_title(f"{body} body", loc="left", color=INK)
+                axis.set_title(f"{body.capitalize()} body", loc="left", color=INK)
     save(figure, file)
 
 
 STUDY = Study(
     "learners",
-    "The learners: what each part is worth",
-    "has one-step Q-learning alone; that similar local states want similar local actions is its "
-    "principle (section V), used only in that legs share a table.",
+    "The learners: the effect of each part",
+    "uses one-step Q-learning only; its principle that similar local states require similar local "
+    "actions (section V) is used only in that the legs share one table.",
     arms,
     text,
     draw,

@@ -1,97 +1,100 @@
-"""Tables from the trainer with a fixed and with a modulated stop: which walks better?"""
+"""Tables from trainings with a fixed and with a modulated stop: which ones walk better."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from ember_ros.experiments import plots, stats, words
-from ember_ros.experiments.studies.fig5 import HEIGHTS, about_stops, height_arm
-from ember_ros.experiments.study import BODIES, LEARNERS, Arm, Size, Study, company, walks
-from ember_ros.experiments.words import Claim, Found
+from ember_ros.experiments import plots, reporting, stats
+from ember_ros.experiments.reporting import Claim, Results
+from ember_ros.experiments.studies.fig5 import STOPS, stop_arm, stop_note
+from ember_ros.experiments.study import (
+    BODIES,
+    LEARNERS,
+    Arm,
+    Size,
+    Study,
+    baseline_arms,
+    walking_trials,
+)
 
 
 def arms(size: Size) -> list[Arm]:
-    """Return walkers with tables of both trainings in every body, and who walks beside them."""
-    found = []
+    """Return walkers with tables of both trainings in every body, and the baselines."""
+    all_arms = []
     seeds = range(size.seeds)
     for body in BODIES:
         for learner in LEARNERS:
-            for height in HEIGHTS:
-                starts = height_arm(learner, height, seeds, size.train).trials
-                found.append(
+            for stop in STOPS:
+                starts = stop_arm(learner, stop, seeds, size.train).trials
+                all_arms.append(
                     Arm(
-                        {"body": body, "walker": f"trained, {height} stop", "learner": learner},
-                        walks(learner, body, size.brief, seeds, starts),
+                        {"body": body, "walker": f"trained, {stop} stop", "learner": learner},
+                        walking_trials(learner, body, size.short_walk, seeds, starts),
                     )
                 )
-        found += company(body, size)
-    return found
+        all_arms += baseline_arms(body, size)
+    return all_arms
 
 
 MEASURES = (
-    (
-        "the simpler training (fixed, lower stop) falls less",
-        words.FALL_RATE,
-        ".1f",
-        "falls per 1000",
-        1,
-    ),
-    (
-        "the simpler training (fixed, lower stop) is steadier",
-        "roll_sd_rad",
-        ".3f",
-        "rad of roll, SD,",
-        1,
-    ),
-    ("the simpler training (fixed, lower stop) goes further", "distance_m", ".3f", "m a cycle", -1),
+    ("leads to fewer falls", reporting.FALL_RATE, ".1f", "falls per 1000", 1),
+    ("leads to a lower SD of roll", "roll_sd_rad", ".3f", "rad", 1),
+    ("leads to longer distances", "distance_m", ".3f", "m per cycle", -1),
 )
-"""What is claimed, of which measure, its form and unit, and the sign of it if modulated."""
+"""Claim, measure, format, unit, and claimed sign of the difference (modulated - fixed)."""
 
 
-def claims(found: Found) -> list[Claim]:
-    """Say which training walks better."""
-    lines = []
+def claims(results: Results) -> list[Claim]:
+    """Test which training leads to better walking."""
+    all_claims = []
     for body in BODIES:
         for learner in LEARNERS:
             fixed, modulated = (
-                words.runs_of(found, body=body, walker=f"trained, {height} stop", learner=learner)
-                for height in HEIGHTS
+                reporting.runs_of(
+                    results, body=body, walker=f"trained, {stop} stop", learner=learner
+                )
+                for stop in STOPS
             )
-            for says, name, form, unit, sign in MEASURES:
-                more = words.more(modulated, fixed, name)
-                told = f"{words.told(more, form)} {unit} if modulated"
-                word = stats.verdict(more, claimed=sign)
-                lines.append(Claim(says, f"`{learner}`, {body}", told, word))
-    return lines
+            for statement, name, form, unit, sign in MEASURES:
+                difference = reporting.paired_difference(modulated, fixed, name)
+                all_claims.append(
+                    Claim(
+                        f"the simpler training (fixed, lower stop) {statement}",
+                        f"`{learner}`, {body}",
+                        f"{reporting.with_interval(difference, form)} {unit} (modulated - fixed)",
+                        stats.verdict(difference, claimed=sign),
+                    )
+                )
+    return all_claims
 
 
-def text(found: Found) -> list[str]:
-    """Say what came of it."""
+def text(results: Results) -> list[str]:
+    """Return the table of walkers and its explanation."""
     return [
-        about_stops(),
+        stop_note(),
         "",
-        *words.walkers(found["arms"]),
+        *reporting.walker_table(results["arms"]),
         "",
-        words.WALKERS_NOTE,
+        reporting.WALKER_TABLE_NOTE,
     ]
 
 
-def draw(found: Found, file: Path) -> None:
+def draw(results: Results, file: Path) -> None:
     """Draw falls and distance of every walker in every body."""
     kinds = {
-        f"{height}, {learner}": {"walker": f"trained, {height} stop", "learner": learner}
-        for height in HEIGHTS
+        f"{stop}, {learner}": {"walker": f"trained, {stop} stop", "learner": learner}
+        for stop in STOPS
         for learner in LEARNERS
     }
     groups = {body: {"body": body} for body in BODIES}
-    plots.bodies(file, plots.fall_rates_and(found, kinds, groups))
+    plots.draw_groups(file, plots.fall_rates_and_distances(results, kinds, groups))
 
 
 STUDY = Study(
     "regime",
     "Fixed or modulated training: which walks better?",
-    "section VIII: it is better to train for the behaviour you want; the simpler training gave "
-    "more stable walkers.",
+    "it is better to train for the behaviour that is wanted; the simpler training led to more "
+    "stable walkers (section VIII).",
     arms,
     text,
     draw,

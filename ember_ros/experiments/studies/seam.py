@@ -1,4 +1,4 @@
-"""Another learner in the same leg: SARSA(lambda) beside Q-learning on the trainer."""
+"""Another learner in the same leg: SARSA(lambda) compared with Q-learning on the trainer."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ember_ros.experiments import plots, stats, words
-from ember_ros.experiments.study import Arm, Size, Study, numbers, trained
-from ember_ros.experiments.trial import Outcome
-from ember_ros.experiments.words import Claim, Found
+from ember_ros.experiments import plots, reporting, stats
+from ember_ros.experiments.reporting import Claim, Results
+from ember_ros.experiments.study import Arm, Size, Study, learner_params, training_trial
+from ember_ros.experiments.trial import WINDOW, Outcome
 from ember_ros.report.figures import INK, canvas, save
 from leg_node import sarsa
 
@@ -18,107 +18,118 @@ LEARNERS = {
     "Q-learning": "leg_node.learner.QLearning",
     "SARSA(lambda)": "leg_node.sarsa.SarsaLambda",
 }
-"""Name, and ``parts.learner``."""
-NUMBERS = ("plain", "ember")
-"""Whose learning numbers hold."""
-QUANTITIES = {"reward": "mean reward", "distance_m": "distance a step, m"}
+"""Name of a learner, and its ``parts.learner``."""
+PARAMETER_SETS = ("plain", "ember")
+"""The learning parameters that both learners are tested with."""
+QUANTITIES = {"reward": "mean reward", "distance_m": "distance per step, m"}
 BINS = 60
+"""Points of a curve."""
 
 
 def arms(size: Size) -> list[Arm]:
-    """Return trainings by both learners, with the numbers of the paper's and with ours."""
+    """Return trainings of both learners, each with the parameters of ``plain`` and ``ember``."""
     return [
         Arm(
-            {"learner": name, "numbers": own},
-            [trained(own, size, seed, parts__learner=path) for seed in range(size.seeds)],
+            {"learner": name, "numbers": parameters},
+            [
+                training_trial(parameters, size, seed, parts__learner=path)
+                for seed in range(size.seeds)
+            ],
         )
-        for own in NUMBERS
+        for parameters in PARAMETER_SETS
         for name, path in LEARNERS.items()
     ]
 
 
-def curves(known: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
+def curves(outcomes_by_arm: list[tuple[Arm, list[Outcome]]]) -> dict[str, Any]:
     """Return the quartiles of each quantity over seeds, in bins of cycles."""
-    found: dict[str, Any] = {}
-    for arm, outcomes in known:
+    by_name: dict[str, Any] = {}
+    for arm, outcomes in outcomes_by_arm:
         for name in QUANTITIES:
-            each = np.array([outcome.cycles[name] for outcome in outcomes])
-            found["/".join((*arm.labels.values(), name))] = stats.quartile_curve(each, BINS)
-    return found
+            values = np.array([outcome.cycles[name] for outcome in outcomes])
+            by_name["/".join((*arm.labels.values(), name))] = stats.quartile_curve(values, BINS)
+    return by_name
 
 
-def claims(found: Found) -> list[Claim]:
-    """Say which of the two earns more and goes further in the end."""
-    lines = []
-    for own in NUMBERS:
-        one, other = (words.runs_of(found, learner=name, numbers=own) for name in LEARNERS)
-        for says, name, unit in (
-            ("earns more than Q-learning in the last 500 steps", "reward_last", "reward a tick"),
-            ("goes further than Q-learning in the last 500 steps", "distance_last_m", "m a step"),
+def claims(results: Results) -> list[Claim]:
+    """Test which learner gets more reward and longer steps at the end of the training."""
+    all_claims = []
+    for parameters in PARAMETER_SETS:
+        q_learning, sarsa_lambda = (
+            reporting.runs_of(results, learner=name, numbers=parameters) for name in LEARNERS
+        )
+        for statement, name, unit in (
+            ("gets more reward", "reward_last", "reward per tick"),
+            ("makes longer steps", "distance_last_m", "m per step"),
         ):
-            more = words.more(other, one, name)
-            told = f"{words.told(more)} {unit} with SARSA(lambda)"
-            lines.append(
-                Claim(f"SARSA(lambda) {says}", f"`{own}`", told, stats.verdict(more, claimed=1))
+            difference = reporting.paired_difference(sarsa_lambda, q_learning, name)
+            all_claims.append(
+                Claim(
+                    f"SARSA(lambda) {statement} than Q-learning in the last {WINDOW} steps",
+                    f"parameters of `{parameters}`",
+                    f"{reporting.with_interval(difference)} {unit} (SARSA - Q-learning)",
+                    stats.verdict(difference, claimed=1),
+                )
             )
-    return lines
+    return all_claims
 
 
-def text(found: Found) -> list[str]:
-    """Say what came of it."""
-    lines = []
-    for arm in found["arms"]:
+def text(results: Results) -> list[str]:
+    """Return the table and its explanation."""
+    rows = []
+    for arm in results["arms"]:
         runs, labels = arm["runs"], arm["labels"]
-        lines.append(
+        rows.append(
             (
                 labels["numbers"],
                 labels["learner"],
                 str(len(runs)),
-                words.spread(words.column(runs, "reward")),
-                words.spread(words.column(runs, "reward_last")),
-                words.spread(words.column(runs, "distance_last_m")),
+                reporting.with_quartiles(reporting.column(runs, "reward")),
+                reporting.with_quartiles(reporting.column(runs, "reward_last")),
+                reporting.with_quartiles(reporting.column(runs, "distance_last_m")),
             )
         )
-    gamma = numbers().train.gamma
+    gamma = learner_params().train.gamma
     return [
-        "A learner is a part that is named in the parameters: `ember train --set "
-        "parts.learner=leg_node.sarsa.SarsaLambda`. It is given transitions and returns targets; "
-        "table, sharing, recording and replay are as ever. `leg_node/sarsa.py` is the example: the "
-        f"forward view with lambda = {sarsa.LAMBDA}, cut off after {sarsa.HORIZON} ticks. Nothing "
-        f"was tuned for it; discount ({gamma}), rates and exploration are those of Q-learning.",
+        "The learner is a part that a parameter names: `ember train --set "
+        "parts.learner=leg_node.sarsa.SarsaLambda`. It receives transitions and returns targets; "
+        "table, sharing, recording and replay are the same for every learner. The example is "
+        f"`leg_node/sarsa.py`: the forward view with lambda = {sarsa.LAMBDA}, truncated after "
+        f"{sarsa.HORIZON} ticks. Its parameters were not tuned: discount ({gamma}), learning rates "
+        "and exploration are those of Q-learning.",
         "",
-        *words.grid(
+        *reporting.markdown_table(
             (
-                "numbers",
+                "learning parameters",
                 "learner",
                 "trainings",
-                "reward a tick, all steps",
-                "reward a tick, last 500",
-                "distance a step, last 500, m",
+                "reward per tick, all steps",
+                f"reward per tick, last {WINDOW} steps",
+                f"distance per step, last {WINDOW} steps, m",
             ),
-            lines,
+            rows,
         ),
         "",
-        "Medians over seeds with quartiles.",
+        "Medians over seeds, quartiles in brackets.",
     ]
 
 
-def draw(found: Found, file: Path) -> None:
-    """Draw both quantities over the steps, a curve a learner, a column a set of numbers."""
-    figure, axes = canvas(len(QUANTITIES), len(NUMBERS), width=12.0, height=2.9)
-    for down, (name, label) in enumerate(QUANTITIES.items()):
-        for across, own in enumerate(NUMBERS):
-            axis = axes[down, across]
+def draw(results: Results, file: Path) -> None:
+    """Draw the learning curves: a row per quantity, a column per set of learning parameters."""
+    figure, axes = canvas(len(QUANTITIES), len(PARAMETER_SETS), width=12.0, height=2.9)
+    for row, (name, label) in enumerate(QUANTITIES.items()):
+        for column, parameters in enumerate(PARAMETER_SETS):
+            axis = axes[row, column]
             for n, learner in enumerate(LEARNERS):
-                curve = found["curves"]["/".join((learner, own, name))]
+                curve = results["curves"]["/".join((learner, parameters, name))]
                 colour = plots.COLOURS[n]
                 axis.fill_between(
                     curve["steps"], curve["low"], curve["high"], color=colour, alpha=0.2, lw=0
                 )
                 axis.plot(curve["steps"], curve["median"], color=colour, label=learner)
             axis.set_ylabel(label)
-            if down == 0:
-                axis.set_title(f"numbers of {own}", loc="left", color=INK)
+            if row == 0:
+                axis.set_title(f"parameters of {parameters}", loc="left", color=INK)
             else:
                 axis.set_xlabel("step")
     axes[0, 0].legend(frameon=False)
@@ -128,7 +139,7 @@ def draw(found: Found, file: Path) -> None:
 STUDY = Study(
     "seam",
     "Another learner in the same leg",
-    "has Q-learning; any learner of action values could stand in its place.",
+    "uses Q-learning; any learner of action values could replace it.",
     arms,
     text,
     draw,

@@ -1,145 +1,171 @@
-"""What each sense is worth, and what a walker meets that a trainer never sees."""
+"""The effect of each sense, and the states of a walker that do not occur on the trainer."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from ember_ros.experiments import plots, stats, words
-from ember_ros.experiments.studies.fig5 import HEIGHTS, height_arm
-from ember_ros.experiments.study import LEARNERS, Arm, Size, Study, company, numbers, trained, walks
-from ember_ros.experiments.words import Claim, Found
+from ember_ros.experiments import plots, reporting, stats
+from ember_ros.experiments.reporting import Claim, Results
+from ember_ros.experiments.studies.fig5 import STOPS, stop_arm
+from ember_ros.experiments.study import (
+    LEARNERS,
+    Arm,
+    Size,
+    Study,
+    baseline_arms,
+    learner_params,
+    training_trial,
+    walking_trials,
+)
 from ember_ros.report.figures import canvas, save
 from leg_node.assembly import empty_table
 
 BODIES = ("reference",)
-FAR = 3.2
-"""An edge that no angle passes: all are in one bin."""
+BEYOND_ALL_ANGLES = 3.2
+"""An edge larger than every angle, rad, so that all angles are in one bin."""
 WITHOUT: dict[str, dict[str, Any]] = {
     "all senses": {},
-    "without hair": {"leg__hair_length": 1.0},  # it always touches
-    "without force": {"state__force_edges": (1e6,)},  # no load passes it
-    "without inclination": {"state__inclination_edges": (FAR,)},
+    "without hair": {"leg__hair_length": 1.0},  # so long that it always touches the ground
+    "without force": {"state__force_edges": (1e6,)},  # larger than every force
+    "without inclination": {"state__inclination_edges": (BEYOND_ALL_ANGLES,)},
 }
-"""A sense is left out by letting it always read the same."""
+"""The changed parameters with which a sense always has the same value."""
 
 
 def arms(size: Size) -> list[Arm]:
-    """Return walkers that lack a sense, trainers, and who walks beside them."""
-    found = []
+    """Return walkers without one sense, the baselines, and trainings with walks for coverage."""
+    all_arms = []
     seeds = range(size.seeds)
     for body in BODIES:
         for name, changes in WITHOUT.items():
-            starts = [trained("ember", size, seed, **changes) for seed in seeds]
-            found.append(
+            starts = [training_trial("ember", size, seed, **changes) for seed in seeds]
+            all_arms.append(
                 Arm(
                     {"body": body, "walker": f"trained, {name}", "learner": "ember"},
-                    walks("ember", body, size.brief, seeds, starts, **changes),
+                    walking_trials("ember", body, size.short_walk, seeds, starts, **changes),
                 )
             )
-        found += company(body, size)
+        all_arms += baseline_arms(body, size)
     for learner in LEARNERS:
-        for height in HEIGHTS:
-            trainers = height_arm(learner, height, seeds, size.train)
-            found.append(Arm({"coverage": "trainer", **trainers.labels}, trainers.trials))
+        for stop in STOPS:
+            trainings = stop_arm(learner, stop, seeds, size.train)
+            all_arms.append(Arm({"coverage": "trainer", **trainings.labels}, trainings.trials))
             for body in BODIES:
-                found.append(
+                all_arms.append(
                     Arm(
-                        {"coverage": body, **trainers.labels},
-                        walks(learner, body, size.brief, seeds, trainers.trials),
+                        {"coverage": body, **trainings.labels},
+                        walking_trials(learner, body, size.short_walk, seeds, trainings.trials),
                     )
                 )
-    return found
+    return all_arms
 
 
-def claims(found: Found) -> list[Claim]:
-    """Say which sense is of use."""
-    lines = []
+def claims(results: Results) -> list[Claim]:
+    """Test which senses improve the reward or reduce falls."""
+    all_claims = []
     for body in BODIES:
-        whole = words.runs_of(found, body=body, walker="trained, all senses")
+        complete = reporting.runs_of(results, body=body, walker="trained, all senses")
         for name in list(WITHOUT)[1:]:
-            less = words.runs_of(found, body=body, walker=f"trained, {name}")
-            sense = name.removeprefix("without ")
-            for says, more, form, unit in (
-                ("reward", words.more(whole, less, "reward"), ".3f", "reward a tick lost"),
-                ("falls", words.more(less, whole, words.FALL_RATE), ".1f", "falls per 1000 more"),
+            reduced = reporting.runs_of(results, body=body, walker=f"trained, {name}")
+            for statement, measure, higher, lower, form, unit in (
+                (
+                    "increases the reward",
+                    "reward",
+                    complete,
+                    reduced,
+                    ".3f",
+                    "reward per tick (with - without)",
+                ),
+                (
+                    "reduces falls",
+                    reporting.FALL_RATE,
+                    reduced,
+                    complete,
+                    ".1f",
+                    "falls per 1000 (without - with)",
+                ),
             ):
-                lines.append(
+                difference = reporting.paired_difference(higher, lower, measure)
+                all_claims.append(
                     Claim(
-                        f"the sense is of use, by {says}",
-                        f"{sense}, {body}",
-                        f"{words.told(more, form)} {unit} without",
-                        stats.verdict(more, claimed=1),
+                        f"the sense {statement}",
+                        f"{name.removeprefix('without ')}, {body}",
+                        f"{reporting.with_interval(difference, form)} {unit}",
+                        stats.verdict(difference, claimed=1),
                     )
                 )
-    return lines
+    return all_claims
 
 
-def text(found: Found) -> list[str]:
-    """Say what came of it."""
-    states = empty_table(numbers()).states
-    coverage = []
+def text(results: Results) -> list[str]:
+    """Return the tables and their explanation."""
+    states = empty_table(learner_params()).states
+    coverage_rows = []
     for learner in LEARNERS:
-        for height in HEIGHTS:
-            trainer = words.runs_of(found, coverage="trainer", learner=learner, height=height)
-            cells = [learner, height, words.spread(words.column(trainer, "states_visited"), ".0f")]
-            for body in BODIES:
-                runs = words.runs_of(found, coverage=body, learner=learner, height=height)
-                cells.append(words.spread(words.column(runs, "states_visited"), ".0f"))
-                cells.append(
-                    words.spread([100 * v for v in words.column(runs, "unvisited_share")], ".2f")
-                )
-            coverage.append(cells)
+        for stop in STOPS:
+            cells = [learner, stop]
+            for place in ("trainer", *BODIES):
+                runs = reporting.runs_of(results, coverage=place, learner=learner, height=stop)
+                visited = reporting.column(runs, "states_visited")
+                cells.append(reporting.with_quartiles(visited, ".0f"))
+                if place != "trainer":
+                    new = [100 * share for share in reporting.column(runs, "unvisited_share")]
+                    cells.append(reporting.with_quartiles(new, ".2f"))
+            coverage_rows.append(cells)
     return [
-        "Trained and walked with all senses, and without one (a sense is left out by letting it "
-        "always read the same):",
+        "Legs are trained and walk with all senses, or without one of them: a sense is left out by "
+        "parameters with which it always has the same value.",
         "",
-        *words.walkers([arm for arm in found["arms"] if "body" in arm["labels"]]),
+        *reporting.walker_table([arm for arm in results["arms"] if "body" in arm["labels"]]),
         "",
-        words.WALKERS_NOTE,
+        reporting.WALKER_TABLE_NOTE,
         "",
-        f"What a walker meets that its trainer never saw; of {states} states:",
+        f"Coverage: how many of the {states} states are visited during a training and during a "
+        "walk with its table, and how many decisions of the walk are in states that were not "
+        "visited during the training:",
         "",
-        *words.grid(
+        *reporting.markdown_table(
             (
                 "learner",
                 "stop",
-                "states the trainer was in",
+                "states visited on the trainer",
                 *(
                     head
                     for body in BODIES
                     for head in (
-                        f"states a walker was in, {body}",
-                        f"its decisions in states new to it, {body}, %",
+                        f"states visited on the {body} body",
+                        f"decisions in new states on the {body} body, %",
                     )
                 ),
             ),
-            coverage,
+            coverage_rows,
         ),
     ]
 
 
-def draw(found: Found, file: Path) -> None:
-    """Draw reward and falls without each sense, and the share of what is new."""
+def draw(results: Results, file: Path) -> None:
+    """Draw reward and falls without each sense, and the share of decisions in new states."""
     reward: dict[str, dict[str, list[float]]] = {}
     falls: dict[str, dict[str, list[float]]] = {}
     unvisited: dict[str, dict[str, list[float]]] = {}
     for body in BODIES:
         for name in WITHOUT:
-            runs = words.runs_of(found, body=body, walker=f"trained, {name}")
-            reward.setdefault(body, {})[name] = words.column(runs, "reward")
-            falls.setdefault(body, {})[name] = words.column(runs, words.FALL_RATE)
+            runs = reporting.runs_of(results, body=body, walker=f"trained, {name}")
+            reward.setdefault(body, {})[name] = reporting.column(runs, "reward")
+            falls.setdefault(body, {})[name] = reporting.column(runs, reporting.FALL_RATE)
     for learner in LEARNERS:
-        for height in HEIGHTS:
+        for stop in STOPS:
             for body in BODIES:
-                runs = words.runs_of(found, coverage=body, learner=learner, height=height)
-                group = unvisited.setdefault(f"{learner},\n{height} stop", {})
-                group[body] = [100 * value for value in words.column(runs, "unvisited_share")]
+                runs = reporting.runs_of(results, coverage=body, learner=learner, height=stop)
+                shares = reporting.column(runs, "unvisited_share")
+                group = unvisited.setdefault(f"{learner},\n{stop} stop", {})
+                group[body] = [100 * share for share in shares]
     figure, axes = canvas(3, 1, height=2.7)
     for axis, groups, label in zip(
         axes[:, 0],
         (reward, falls, unvisited),
-        ("reward a tick", plots.FALLS, "new states, % of decisions"),
+        ("reward per tick", plots.FALLS, "decisions in new states, %"),
         strict=True,
     ):
         plots.strips(axis, groups, label)
@@ -152,8 +178,8 @@ def draw(found: Found, file: Path) -> None:
 STUDY = Study(
     "senses",
     "The senses",
-    "17 x 8 x 8 partitions of hip, force and inclination with bits for stance and hair were chosen "
-    "by trial; the hair tells what the others do not.",
+    "the 17 x 8 x 8 partitions of hip angle, force and inclination, and the bits for stance and "
+    "hair, were chosen by trial; the hair gives information that the other senses do not give.",
     arms,
     text,
     draw,
