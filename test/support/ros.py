@@ -45,11 +45,11 @@ def reserved_domain() -> Iterator[int]:
 
 def _children() -> set[str]:
     """Return the ids of the living processes that this process started."""
-    return {
-        pid
-        for task in Path("/proc/self/task").iterdir()
-        for pid in (task / "children").read_text().split()
-    }
+    found: set[str] = set()
+    for task in Path("/proc/self/task").iterdir():
+        with suppress(FileNotFoundError, ProcessLookupError):  # a thread that has just ended
+            found.update((task / "children").read_text().split())
+    return found
 
 
 class Ros:
