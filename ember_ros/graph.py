@@ -291,24 +291,31 @@ class Processes:
                 f"cannot write {error.filename}, for the nodes' parameters and logs: "
                 f"{error.strerror}"
             ) from error
-        nodes = node_options(config, out, patience, bag)
+        self._options = node_options(config, out, patience, bag)
+        self._params, self._namespace = params, namespace
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         try:
-            for name, options in nodes.items():
-                self._start(name, options, params, namespace)
+            for name in self._options:
+                self.log(name).unlink(missing_ok=True)
+                self.start(name)
         except BaseException:
             self.stop()
             raise
 
-    def _start(self, name: str, options: dict[str, Any], params: Path, namespace: str) -> None:
+    def log(self, name: str) -> Path:
+        """Return the file with what a node prints."""
+        return self._logs / f"{name}.txt"
+
+    def start(self, name: str) -> None:
+        """Start a node's process, or start it again after it has ended."""
         command = [*child_command(NODES.get(name, NODES["leg_node"])), "--ros-args"]
-        command += ["--params-file", str(params), "-r", f"__node:={name}"]
-        if namespace:
-            command += ["-r", f"__ns:=/{namespace.strip('/')}"]
-        for option, value in options.items():
+        command += ["--params-file", str(self._params), "-r", f"__node:={name}"]
+        if self._namespace:
+            command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
+        for option, value in self._options[name].items():
             if value != "":
                 command += ["-p", f"{option}:={json.dumps(value)}"]
-        with (self._logs / f"{name}.txt").open("wb") as log:
+        with self.log(name).open("ab") as log:
             # A new session, so that Ctrl-C reaches this process only, which then stops the nodes
             # in the right order.
             self.processes[name] = subprocess.Popen(
@@ -337,7 +344,7 @@ class Processes:
             self._died("sim_node", self.processes["sim_node"])
 
     def _died(self, name: str, process: subprocess.Popen[bytes]) -> None:
-        log = self._logs / f"{name}.txt"
+        log = self.log(name)
         last = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-3:]
         if process.returncode == NAME_TAKEN:
             raise NameTakenError(last[-1].removeprefix("error: "))

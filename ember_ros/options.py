@@ -48,7 +48,9 @@ OPTIONS = {
     "save": Option(
         "", "file for the table, written on exit and by table/save; '' for none", path=True
     ),
-    "fresh": Option(False, "start from `table`, even if the file `save` exists"),
+    "fresh": Option(
+        False, "start from `table`, even if the file `save` exists; after a crash it is ignored"
+    ),
     "durability": Option(
         "normal",
         "normal: an acknowledged push survives a killed process; full: a power failure too",

@@ -13,6 +13,9 @@ from leg_node.table import Table
 MAX_AHEAD = 64
 """Epochs that a push of a known run may be ahead of the newest one of all legs: a wrong one must
 not make all later ones of the run look as if they were taken already."""
+MAX_EPOCHS_PER_PUSH = 16
+"""Epochs of which one push may hold updates: a leg that misses the last tick of an epoch pushes it
+together with the next one."""
 MAX_PENDING_PUSHES = 1024
 """Pushes that wait to be merged; more are merged before their turn."""
 MAX_RUNS_PER_LEG = 10_000
@@ -114,11 +117,9 @@ class DurableTable(SharedTable):
                 f"{where}: the newest epoch of all legs is {self._newest}; up to {MAX_AHEAD} more "
                 "would be right"
             )
-        if len(push.updates) > max(1, self._sync_every):
-            raise UpdateError(
-                f"{where}: {len(push.updates)} updates; an epoch has {self._sync_every} ticks here "
-                "(sync_every); give the leg and the table the same parameter file and stage"
-            )
+        limit = MAX_EPOCHS_PER_PUSH * max(1, self._sync_every)
+        if len(push.updates) > limit:
+            raise UpdateError(f"{where}: {len(push.updates)} updates; up to {limit} would be right")
         for update in push.updates:
             if update.tick >= (push.epoch + 1) * self._sync_every:
                 raise UpdateError(

@@ -72,7 +72,7 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
             self._store = TableStore(self._save, cells, options["durability"])
         try:
             start = Path(options["table"]) if options["table"] else None
-            stored = self._load_store(options["fresh"])
+            stored = self._load_store()
             table = stored.table if stored else self._load_table(start, options["fresh"])
             self._has_history = stored is not None or self._loaded
             self.shared = DurableTable(
@@ -100,11 +100,14 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
 
     # -- start -------------------------------------------------------------------------------
 
-    def _load_store(self, fresh: bool) -> Stored | None:
+    def _load_store(self) -> Stored | None:
         """Return what an earlier process left that was killed; None if there is nothing.
 
+        It is continued even if ``fresh`` is true: a node that is started again after a crash gets
+        the options of its first start.
+
         Raises:
-            TableError: the database cannot be used, or a new table is to begin beside it.
+            TableError: the database cannot be used.
         """
         if self._store is None:
             return None
@@ -112,14 +115,9 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
         stored = self._store.load(empty.states, empty.actions)
         if stored is None:
             return None
-        if fresh:
-            raise TableError(
-                f"{self._store.file} holds what a table_node that was killed had learned; start "
-                "without fresh to continue it, or move it away"
-            )
         self.get_logger().warning(
             f"recovered after a crash: {self._store.file} with {len(stored.pushes)} later pushes; "
-            "the parameter table is ignored"
+            "the parameters table and fresh are ignored; to start anew, move the file away"
         )
         return stored
 

@@ -323,7 +323,7 @@ def test_a_repeated_push_never_counts_twice_whatever_runs_come_between() -> None
     [
         (push(0, 5 + MAX_AHEAD + 1), "the newest epoch of all legs is 5"),
         (push(0, 2**62), "the newest epoch of all legs is 5"),
-        (push(0, 6, *((50, n, 0.5) for n in range(9))), "9 updates; an epoch has 8 ticks"),
+        (push(0, 6, *((50, 2, 0.5),) * 129), "129 updates; up to 128 would be right"),
         (push(0, 6, (56, 2, 0.5)), "tick 56 is after this epoch of 8 ticks"),
         (push(0, 6, (50, 2, 1e13)), "the target of cell 2 is 10000000000000.0"),
     ],

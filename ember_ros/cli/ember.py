@@ -30,6 +30,7 @@ class Command(NamedTuple):
 COMMANDS = {
     "bag": Command("bag", "Show the content of a bag, export it as CSV, or repair it."),
     "bench": Command("experiment", "Measure ticks per second and the time of each part of a tick."),
+    "chaos": Command("chaos", "Inject faults into a running robot and measure how it recovers."),
     "demo": Command("run", "Train one leg, walk with four on the ROS graph, and plot both."),
     "experiment": Command("experiment", "Run an experiment over many seeds and write its report."),
     "node": Command("node", f"Start one node: {', '.join(NODES)}."),
