@@ -308,6 +308,9 @@ class Processes:
 
     def start(self, name: str) -> None:
         """Start a node's process, or start it again after it has ended."""
+        ended = self.processes.get(name)
+        if ended is not None and ended.stdin is not None:
+            ended.stdin.close()
         command = [*child_command(NODES.get(name, NODES["leg_node"])), "--ros-args"]
         command += ["--params-file", str(self._params), "-r", f"__node:={name}"]
         if self._namespace:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -43,20 +44,21 @@ def chaos_command(
 
     params = load_params(*params_files, settings=settings)
     config = RunConfig("walker", 1, seed=seed, params=params, table=Path(TABLE))
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        stop_signals() as stop,
-        progress("chaos", 100) as update,
-    ):
+    folder = Path(tempfile.mkdtemp(prefix="ember_chaos_"))
+    with stop_signals() as stop, progress("chaos", 100) as update:
 
         def go_on(share: float, text: str) -> bool:
             update(100.0 * min(share, 1.0), text)
             return not stop.requested
 
         results = chaos.chaos(
-            config, Path(folder), minutes=minutes, seed=seed, go_on=go_on, command=command_line()
+            config, folder, minutes=minutes, seed=seed, go_on=go_on, command=command_line()
         )
     names = chaos.write(results, out)
+    if results["freezes"] or results["ended_by_themselves"] or results["cells_with_fewer_visits"]:
+        console.print(f"Logs of all nodes: {folder / 'log'}")
+    else:
+        shutil.rmtree(folder)
     console.print(
         f"{results['faults']} faults, {results['freezes']} freezes, "
         f"{len(results['ended_by_themselves'])} processes ended by themselves, "
