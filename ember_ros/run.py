@@ -41,6 +41,7 @@ from ember_ros.report.run_statistics import (
 )
 from ember_ros.run_config import RunConfig
 from ember_ros.spinning import prepare_environment
+from leg_node.assembly import BLIND
 from leg_node.store import ENDINGS
 from leg_node.table import Table
 from leg_node.table_file import load_table, save_table
@@ -57,6 +58,15 @@ OUTPUTS = (SUMMARY, CYCLES, MEASURED, TRACES, PICTURE, *(TABLE + e for e in ENDI
 
 GoOn = Callable[[int, int], bool]
 """Called regularly with the cycles done and the falls; returns whether to continue."""
+
+
+def learns_by_default(policy: str) -> bool:
+    """Return whether the table changes in a run that does not say whether it learns.
+
+    It does, unless the policy is one of those that choose without the table. A policy of one's own
+    may read the table, so it learns.
+    """
+    return policy not in BLIND
 
 
 def run(
