@@ -33,9 +33,9 @@ from ember_ros.spinning import Stop, prepare_environment, stop_signals
 from ember_ros.terminal import command_line, console, grid, progress
 
 
-def _of_a_run(*, cycles: int, out: str, backend: str) -> options.Decorator:
+def _run_options(*, cycles: int, out: str, backend: str) -> options.Decorator:
     """Return a decorator that adds the options which ``train`` and ``walk`` share."""
-    return options.together(
+    return options.combined(
         options.cycles(cycles, "Cycles of the pattern generator, each one step of every leg."),
         options.SEED,
         options.out(out, "table.npz, cycles.csv, summary.json and run.png"),
@@ -56,9 +56,9 @@ def _of_a_run(*, cycles: int, out: str, backend: str) -> options.Decorator:
             help="Whether the table changes. Default: --freeze with --policy scripted or random, "
             "otherwise --learn.",
         ),
-        options.of_node("--policy", also="; scripted and random are baselines"),
+        options.shared_with_nodes("--policy", also="; scripted and random are baselines"),
         options.NAMESPACE,
-        options.on(
+        options.backend(
             BACKENDS,
             backend,
             "loop: without ROS, fastest. graph: all nodes in this process. processes: one process "
@@ -70,7 +70,7 @@ def _of_a_run(*, cycles: int, out: str, backend: str) -> options.Decorator:
 
 
 @click.command("train")
-@_of_a_run(cycles=6000, out="out/train", backend="loop")
+@_run_options(cycles=6000, out="out/train", backend="loop")
 def train_command(**arguments: Any) -> None:
     """Train one leg on the cantilever trainer.
 
@@ -83,7 +83,7 @@ def train_command(**arguments: Any) -> None:
 
 
 @click.command("walk")
-@_of_a_run(cycles=300, out="out/walk", backend="graph")
+@_run_options(cycles=300, out="out/walk", backend="graph")
 def walk_command(**arguments: Any) -> None:
     """Walk with four legs that carry a body and continue to learn.
 
@@ -190,7 +190,7 @@ def _train_or_walk(
 @click.command("demo")
 @options.cycles(6000, "On the trainer.")
 @options.cycles(300, "On the body.", flag="--walk-cycles")
-@options.of_node("--seed", type=int, help="Seed of both runs.")
+@options.shared_with_nodes("--seed", type=int, help="Seed of both runs.")
 @options.NAMESPACE
 @options.PARAMS
 @options.out("out/demo", "both runs and demo.png")
