@@ -63,7 +63,7 @@ GoOn = Callable[[int, int], bool]
 def learns_by_default(policy: str) -> bool:
     """Return whether the table changes in a run that does not say whether it learns.
 
-    It does, unless the policy is one of those that choose without the table. A policy of one's own
+    It does, unless the policy is one of those that choose without the table. A user's own policy
     may read the table, so it learns.
     """
     return policy not in BLIND
@@ -223,6 +223,8 @@ def recover(out: Path) -> None:
 def _locked(out: Path) -> Iterator[None]:
     """Lock a folder against other runs; the kernel frees the lock when this process ends.
 
+    An earlier process may have been killed here: first call ``_restore_or_discard``.
+
     Raises:
         ParameterError: another run holds the lock.
     """
@@ -253,6 +255,8 @@ def _has_first_cycle(out: Path) -> bool:
 #   .earlier, a finished cycle   the new run stays; .earlier is removed, as at the end of a run
 def _move_aside(out: Path, start_table: Path | None) -> None:
     """Move the files of an earlier run into ``EARLIER``, all or none of them.
+
+    ``EARLIER`` is made even if there was no earlier run; it is then empty.
 
     If the new run starts from a table, the table in ``out`` is copied instead of moved.
 
