@@ -22,10 +22,10 @@ from ember_ros.params import Params, cells_sha256, replace
 from ember_ros.params_file import load_params
 from ember_ros.report.run_statistics import RunStatistics
 from ember_ros.result import QTable, Run, SavedRun, load
+from ember_ros.run import learns_by_default
 from ember_ros.run_config import RunConfig
 from ember_ros.shipped import shipped_table
 from ember_ros.versions import provenance
-from leg_node.assembly import BLIND
 from leg_node.table_file import check_cells
 
 __all__ = ["load", "make_params", "train", "walk"]
@@ -270,7 +270,7 @@ def _run(
         seed=_whole(seed, "seed"),
         params=own,
         policy=policy,
-        learning=policy not in BLIND if learning is None else learning,
+        learning=learns_by_default(policy) if learning is None else learning,
         table=file,
         start_cycle=_whole(start_cycle, "start_cycle"),
     )

@@ -326,8 +326,8 @@ class Run(SavedRun):
             self.record,
             self.table.cells(),
             command=f"ember_ros.{'train' if self.config.stage == 'train' else 'walk'}",
-            origin=self.provenance,
-            start=self.start_sha256,
+            start_sha256=self.start_sha256,
+            provenance=self.provenance,
             replace=replace,
         )
 

@@ -9,6 +9,7 @@ from ember_ros.errors import ParameterError
 from ember_ros.params import Params
 from ember_ros.run import SUMMARY, TABLE
 from ember_ros.run_config import RunConfig
+from leg_node.assembly import numbers_of
 from leg_node.policy import epsilon_at
 from leg_node.table_file import describe_differences, load_about, load_table, params_of
 
@@ -55,7 +56,7 @@ def start_messages(config: RunConfig) -> list[str]:
     differences = describe_differences(config.table, about, config.params)
     if differences is not None:
         lines.append(differences)
-    numbers = config.params.walk if config.stage == "walk" else config.params.train
+    numbers = numbers_of(config.params, config.stage)
     epsilon = epsilon_at(numbers, config.start_cycle)
     share = f"{100 * epsilon:.3g} %"
     if config.start_cycle:

@@ -21,9 +21,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from ember_ros import versions
 from ember_ros.bag.run_metadata import RunMetadata
 from ember_ros.bag.run_writer import RunWriter
-from ember_ros.bag.storage import BagOptions, make_folder, seal
+from ember_ros.bag.storage import BagOptions, seal
+from ember_ros.bag.storage import make_folder as make_bag_folder
 from ember_ros.bag.writer_process import WriterProcess
 from ember_ros.errors import ParameterError, StoppedError, no_ros
 from ember_ros.params import as_dict, params_sha256
@@ -39,7 +41,7 @@ from ember_ros.report.run_statistics import (
 )
 from ember_ros.run_config import RunConfig
 from ember_ros.spinning import prepare_environment
-from ember_ros.versions import provenance, versions
+from leg_node.assembly import BLIND
 from leg_node.store import ENDINGS
 from leg_node.table import Table
 from leg_node.table_file import load_table, save_table
@@ -48,14 +50,23 @@ BACKENDS = ("loop", "graph", "processes")
 CHECKPOINT_S = 5.0
 """Wall time between two checkpoints of the loop's table, s: the most that ``kill -9`` can lose."""
 EARLIER, PART = ".earlier", ".earlier.part"
-"""Folder of an earlier run's files until the new run has finished its first cycle; and the folder
-while they are moved there or back."""
+"""Folder that keeps an earlier run's files while a new one runs; and the folder while they are
+moved there or back. See ``_move_aside``."""
 TABLE, SUMMARY, PICTURE = "table.npz", "summary.json", "run.png"
 OUTPUTS = (SUMMARY, CYCLES, MEASURED, TRACES, PICTURE, *(TABLE + e for e in ENDINGS), TABLE)
 """The files that a run writes into its folder, and that the next run there replaces."""
 
 GoOn = Callable[[int, int], bool]
 """Called regularly with the cycles done and the falls; returns whether to continue."""
+
+
+def learns_by_default(policy: str) -> bool:
+    """Return whether the table changes in a run that does not say whether it learns.
+
+    It does, unless the policy is one of those that choose without the table. A user's own policy
+    may read the table, so it learns.
+    """
+    return policy not in BLIND
 
 
 def run(
@@ -70,9 +81,9 @@ def run(
 ) -> tuple[RunRecord, dict[str, Any]]:
     """Run until all cycles are done or ``go_on`` returns False, and write the results.
 
-    Writes ``table.npz``, ``cycles.csv``, ``traces.npy`` and ``summary.json`` into ``out``. An
-    earlier run there is replaced once the new one has finished a cycle; if the new one fails
-    before, the earlier one is restored.
+    Each backend writes ``table.npz``, ``cycles.csv``, ``measured.json`` and ``traces.npy`` into
+    ``out``; ``summary.json`` is written here. An earlier run there is replaced once the new one has
+    finished a cycle; if the new one fails before, the earlier one is restored.
 
     Args:
         config: what to run.
@@ -91,19 +102,23 @@ def run(
         EmberError: a parameter, the table or the bag cannot be used, the graph fails, or another
             run is writing into ``out``.
     """
-    origin = provenance()
+    provenance = versions.provenance()
     # Check all inputs before anything starts.
-    start = load_table(config.table, config.params)[0].sha256() if config.table else None
+    start_sha256 = load_table(config.table, config.params)[0].sha256() if config.table else None
     if bag is not None and bag.folder.absolute() == out.absolute():
         raise ParameterError(f"{out} holds the run; another folder would be right for the bag")
     if bag is not None:
-        make_folder(bag.folder)  # check it before an earlier run is replaced
+        # Only a check, before an earlier run is replaced: the backend makes the folder again.
+        make_bag_folder(bag.folder)
         bag.folder.rmdir()
-    _make(out)
+    _make_folder(out)
     with _locked(out):
+        _restore_or_discard(out)
         if not replace:
-            _refuse(out)
-        return _run(config, backend, out, go_on, command, bag, namespace, origin, start)
+            _refuse_existing_outputs(out)
+        return _run_in_locked_folder(
+            config, backend, out, go_on, command, bag, namespace, start_sha256, provenance
+        )
 
 
 def save_run(
@@ -113,8 +128,8 @@ def save_run(
     table: Table,
     *,
     command: str,
-    origin: dict[str, str],
-    start: str | None,
+    start_sha256: str | None,
+    provenance: dict[str, str],
     replace: bool = False,
 ) -> dict[str, Any]:
     """Write a run of the direct loop from memory, with the same files as ``run``.
@@ -125,8 +140,8 @@ def save_run(
         record: of the run.
         table: the table at the end.
         command: the call that ran it, for the summary.
-        origin: ``versions.provenance`` of the run.
-        start: SHA-256 of the table at the start; None if it was empty.
+        start_sha256: SHA-256 of the table at the start; None if it was empty.
+        provenance: ``versions.provenance`` of the run.
         replace: whether an earlier run in ``out`` may be replaced.
 
     Returns:
@@ -136,17 +151,26 @@ def save_run(
         EmberError: the folder cannot be written, holds an earlier run, or another run is writing
             into it.
     """
-    _make(out)
-    summary = _summary(config, "loop", record, table.sha256(), command, origin, start)
+    _make_folder(out)
+    summary = _summary(
+        config,
+        "loop",
+        record,
+        command,
+        start_sha256=start_sha256,
+        end_sha256=table.sha256(),
+        provenance=provenance,
+    )
     with _locked(out):
+        _restore_or_discard(out)
         if not replace:
-            _refuse(out)
+            _refuse_existing_outputs(out)
         _move_aside(out, None)
         try:
             notes = {"cycle": config.start_cycle + summary["cycles"]}
             save_table(out / TABLE, table, config.params, config.seed, notes)
             _write_summary(out, summary)
-            save_record(out, record)
+            save_record(out, record)  # cycles.csv last: with it, the new run has its first cycle
         except OSError as error:
             _restore_or_discard(out)
             raise ParameterError(f"cannot write into {out}: {error.strerror}") from error
@@ -157,7 +181,7 @@ def save_run(
     return summary
 
 
-def _make(out: Path) -> None:
+def _make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -173,10 +197,11 @@ def refuse_to_replace(out: Path) -> None:
     if not out.is_dir():
         return
     with _locked(out):
-        _refuse(out)
+        _restore_or_discard(out)
+        _refuse_existing_outputs(out)
 
 
-def _refuse(out: Path) -> None:
+def _refuse_existing_outputs(out: Path) -> None:
     existing = [name for name in OUTPUTS if (out / name).exists()]
     if existing:
         raise ParameterError(
@@ -186,14 +211,19 @@ def _refuse(out: Path) -> None:
 
 
 def recover(out: Path) -> None:
-    """Restore the earlier run if a later one was killed before its first cycle ended."""
+    """Restore the earlier run if a later one was killed before its first cycle ended.
+
+    Does nothing if another run is writing into the folder; ignores errors of the file system.
+    """
     with contextlib.suppress(ParameterError, OSError), _locked(out):
-        pass
+        _restore_or_discard(out)
 
 
 @contextlib.contextmanager
 def _locked(out: Path) -> Iterator[None]:
     """Lock a folder against other runs; the kernel frees the lock when this process ends.
+
+    An earlier process may have been killed here: first call ``_restore_or_discard``.
 
     Raises:
         ParameterError: another run holds the lock.
@@ -208,21 +238,27 @@ def _locked(out: Path) -> Iterator[None]:
             ) from None
         except OSError:  # a file system without locks
             pass
-        _restore_or_discard(out)
         yield
     finally:
         os.close(folder)
 
 
 def _has_first_cycle(out: Path) -> bool:
-    """Return whether a run has finished its first cycle."""
+    """Return whether ``cycles.csv`` holds the header and at least one row."""
     return (out / CYCLES).exists() and (out / CYCLES).read_bytes().count(b"\n") > 1
 
 
-def _move_aside(out: Path, start: Path | None) -> None:
-    """Move the files of an earlier run aside, all or none of them.
+# What the hidden folders mean, and what `_restore_or_discard` makes of them after a kill:
+#   neither                      the files in `out` belong to one run; they stay
+#   .earlier.part                the earlier run is being moved there or back; it is moved back
+#   .earlier, no finished cycle  the new run's files are removed, then the earlier run is moved back
+#   .earlier, a finished cycle   the new run stays; .earlier is removed, as at the end of a run
+def _move_aside(out: Path, start_table: Path | None) -> None:
+    """Move the files of an earlier run into ``EARLIER``, all or none of them.
 
-    If the run starts from a table (``start``), the table in ``out`` is copied instead of moved.
+    ``EARLIER`` is made even if there was no earlier run; it is then empty.
+
+    If the new run starts from a table, the table in ``out`` is copied instead of moved.
 
     Raises:
         ParameterError: ``out`` cannot be written, or a folder has the name of one of the files.
@@ -238,7 +274,7 @@ def _move_aside(out: Path, start: Path | None) -> None:
                     "would be right"
                 )
             if file.exists():
-                if name == TABLE and start is not None:
+                if name == TABLE and start_table is not None:
                     shutil.copy2(file, part / name)  # it may be the table to start from
                 else:
                     file.replace(part / name)
@@ -252,7 +288,7 @@ def _move_aside(out: Path, start: Path | None) -> None:
 
 
 def _restore_or_discard(out: Path) -> None:
-    """Restore the earlier run if the new one has no finished cycle; otherwise remove it.
+    """Restore the earlier run if the new one has no finished cycle; otherwise discard the earlier.
 
     The process may be killed at any point and the function called again: nothing is removed from
     ``out`` once the first file has been restored.
@@ -271,7 +307,7 @@ def _restore_or_discard(out: Path) -> None:
         part.rmdir()
 
 
-def _run(
+def _run_in_locked_folder(
     config: RunConfig,
     backend: str,
     out: Path,
@@ -279,28 +315,35 @@ def _run(
     command: str,
     bag: BagOptions | None,
     namespace: str,
-    origin: dict[str, str],
-    start: str | None,
+    start_sha256: str | None,
+    provenance: dict[str, str],
 ) -> tuple[RunRecord, dict[str, Any]]:
     if backend != "loop":
         prepare_environment()
     runners = {"loop": _loop, "graph": _graph, "processes": _processes}
     _move_aside(out, config.table)
-    earlier = any((out / EARLIER).iterdir())
+    had_earlier_run = any((out / EARLIER).iterdir())
     try:
         runners[backend](config, out, go_on, bag, namespace)
     except BaseException:
         _restore_or_discard(out)
         raise
-    if earlier and config.cycles and not _has_first_cycle(out):
+    if had_earlier_run and config.cycles and not _has_first_cycle(out):
         _restore_or_discard(out)
         raise StoppedError(
             f"stopped before the first cycle ended; the earlier run in {out} is as it was before"
         )
     shutil.rmtree(out / EARLIER)
     record = load_record(out)
-    end = load_table(out / TABLE, config.params)[0].sha256()
-    summary = _summary(config, backend, record, end, command, origin, start)
+    summary = _summary(
+        config,
+        backend,
+        record,
+        command,
+        start_sha256=start_sha256,
+        end_sha256=load_table(out / TABLE, config.params)[0].sha256(),
+        provenance=provenance,
+    )
     if bag is not None:
         facts = {"planned_cycles": str(config.cycles)}
         # When a graph is stopped, some legs may have acted at the last tick and others not: the
@@ -316,12 +359,13 @@ def _summary(
     config: RunConfig,
     backend: str,
     record: RunRecord,
-    end: str,
     command: str,
-    origin: dict[str, str],
-    start: str | None,
+    *,
+    start_sha256: str | None,
+    end_sha256: str,
+    provenance: dict[str, str],
 ) -> dict[str, Any]:
-    """Return the content of ``summary.json``; ``end`` and ``start`` are SHA-256 of tables."""
+    """Return the content of ``summary.json``; both SHA-256 are of tables."""
     return {
         "command": command,
         "on": backend,
@@ -332,14 +376,14 @@ def _summary(
         "start_cycle": config.start_cycle,
         "planned_cycles": config.cycles,
         "start_table": str(config.table) if config.table else None,
-        "start_table_sha256": start,
+        "start_table_sha256": start_sha256,
         **record.measured,
         "complete": len(record.traces) == config.cycles * config.params.gait.ticks,
-        "table_sha256": end,
+        "table_sha256": end_sha256,
         "parts": as_dict(config.params)["parts"],
         "params_sha256": params_sha256(config.params),
-        "versions": versions(),
-        "provenance": origin,
+        "versions": versions.versions(),
+        "provenance": provenance,
     }
 
 
@@ -354,12 +398,14 @@ def _loop(
     from ember_ros.observer import Observer
 
     loop = Loop(config)
+    # Writes cycles.csv row by row, and measured.json and traces.npy at the end; `load_record` reads
+    # them back.
     statistics = RunStatistics(config.params, config.legs, out)
     observers: list[Observer] = [statistics]
     writer, run_writer = None, None
     if bag is not None:
         writer = WriterProcess(bag)
-        run_metadata = RunMetadata.of_config(config, loop.shared.table, versions())
+        run_metadata = RunMetadata.of_config(config, loop.shared.table, versions.versions())
         run_writer = RunWriter(writer, run_metadata, loop.shared.table, namespace=namespace)
         observers.append(run_writer)
     saved = time.monotonic()
@@ -389,6 +435,7 @@ def _loop(
 def _graph(
     config: RunConfig, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str
 ) -> None:
+    # The table_node writes the table into `out`, and the sim_node the record.
     try:
         from ember_ros.graph import Graph
 
@@ -405,6 +452,7 @@ def _graph(
 def _processes(
     config: RunConfig, out: Path, go_on: GoOn, bag: BagOptions | None, namespace: str
 ) -> None:
+    # The table_node writes the table into `out`, and the sim_node the record.
     need_ros()  # one error here instead of one in each of seven logs
     from ember_ros.graph import processes
 

@@ -20,18 +20,24 @@ class RunConfig:
     world: str
     """``trainer``, ``walker``, or the dotted path of a world."""
     cycles: int
-    """Cycles of the CPG to run."""
+    """Nominal cycles to run: ``params.gait.ticks`` ticks each, whatever the CPG's phase does."""
     seed: int = 0
     params: Params = field(default_factory=Params)
     policy: str = "learned"
     """``learned``, ``scripted``, ``random``, or the dotted path of one."""
     learning: bool = True
+    """Whether the table changes."""
     table: Path | None = None
-    """What was learnt before."""
+    """The file of the table to start from; None for an empty table."""
     start_cycle: int = 0
-    """Cycles that were learnt before: exploration goes on from there."""
+    """Nominal cycles that the table has already learnt: exploration continues from there."""
 
     def __post_init__(self) -> None:
+        """Check the values; import a world that is given by its dotted path.
+
+        Raises:
+            ParameterError: a value is out of range, or there is no such world.
+        """
         spec_of(self.world)
         if self.cycles < 0:
             raise ParameterError(f"cycles = {self.cycles} must be 0 or more")
@@ -51,5 +57,5 @@ class RunConfig:
 
     @property
     def stage(self) -> str:
-        """Return which learning numbers hold."""
+        """Return which learning parameters are used: ``train`` or ``walk``."""
         return stage_of(self.world)

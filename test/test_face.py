@@ -19,6 +19,7 @@ import pytest
 
 import ember_ros as er
 from ember_ros.arrays import Ticks
+from ember_ros.cli.run import config_from_options
 from ember_ros.errors import MissingError, ParameterError, RunError, TableError
 from ember_ros.loop import Loop
 from ember_ros.params import Learning, params_sha256, replace
@@ -348,6 +349,35 @@ def test_every_part_can_be_a_class() -> None:
     assert done.states.max() < 6
     assert not walked(1, policy="scripted").config.learning
     assert walked(1, policy="scripted", learning=True).config.learning
+
+
+@pytest.mark.parametrize(
+    ("policy", "learns"),
+    [("learned", True), ("scripted", False), ("random", False), (f"{__name__}.Still", True)],
+)
+def test_a_policy_learns_by_default_alike_in_python_and_on_the_command_line(
+    policy: str, learns: bool
+) -> None:
+    """All but those that choose without the table; a word about it is heeded by both."""
+
+    def by_options(learning: bool | None) -> RunConfig:
+        return config_from_options(
+            "walker",
+            cycles=1,
+            seed=0,
+            params_files=(),
+            settings=(),
+            table=None,
+            resume=None,
+            learning=learning,
+            policy=policy,
+        )
+
+    assert walked(1, policy=policy).config.learning is learns
+    assert by_options(None).learning is learns
+    for learning in (True, False):
+        assert walked(1, policy=policy, learning=learning).config.learning is learning
+        assert by_options(learning).learning is learning
 
 
 def test_a_table_brings_its_parameters(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ def bag_command() -> None:
 
 @bag_command.command("info")
 @options.BAG
-@options.robot()
+@options.namespace_in_bag()
 @click.option("--cycles", is_flag=True, help="Also print one line per cycle.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, including all cycles.")
 def _info(bag: Path, namespace: str | None, cycles: bool, as_json: bool) -> None:
@@ -47,7 +47,7 @@ def _info(bag: Path, namespace: str | None, cycles: bool, as_json: bool) -> None
 
 @bag_command.command("csv")
 @options.BAG
-@options.robot()
+@options.namespace_in_bag()
 @options.out("out/csv", "ticks.csv and cycles.csv")
 def _csv(bag: Path, namespace: str | None, out: Path) -> None:
     """Export one line per tick and leg, and one line per cycle and leg, for pandas."""

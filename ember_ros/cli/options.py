@@ -21,7 +21,7 @@ Decorator = Callable[[Any], Any]
 """A decorator that adds an option to a command."""
 
 
-def together(*options: Decorator) -> Decorator:
+def combined(*options: Decorator) -> Decorator:
     """Return a decorator that adds several options, listed by ``--help`` in this order."""
 
     def add(command: Any) -> Any:
@@ -77,7 +77,7 @@ FILE, FOLDER = click.Path(path_type=Path), _Folder(path_type=Path, file_okay=Fal
 # -- options that nodes have too ---------------------------------------------------------------
 
 
-def of_node(flag: str, *, also: str = "", **other: Any) -> Decorator:
+def shared_with_nodes(flag: str, *, also: str = "", **other: Any) -> Decorator:
     """Return an option that nodes have too, with the same meaning, type and default.
 
     Args:
@@ -102,12 +102,14 @@ def of_node(flag: str, *, also: str = "", **other: Any) -> Decorator:
     return click.option(flag, **{**arguments, **other})
 
 
-TABLE = of_node("--table", also="; `trained` comes with the package. Default: an empty one")
-SEED = of_node("--seed", type=int)  # RunConfig checks its range
-RECORD = together(
-    of_node("--bag", also="; see `ember replay --help`"),
-    of_node("--split-mb"),
-    of_node("--split-s"),
+TABLE = shared_with_nodes(
+    "--table", also="; `trained` comes with the package. Default: an empty one"
+)
+SEED = shared_with_nodes("--seed", type=int)  # RunConfig checks its range
+RECORD = combined(
+    shared_with_nodes("--bag", also="; see `ember replay --help`"),
+    shared_with_nodes("--split-mb"),
+    shared_with_nodes("--split-s"),
 )
 
 
@@ -121,7 +123,7 @@ def _settings(
     return settings
 
 
-PARAMS = together(
+PARAMS = combined(
     click.option(
         "--params",
         "params_files",
@@ -169,7 +171,7 @@ def cycles(
     )
 
 
-def on(backends: Sequence[str], default: str, text: str) -> Decorator:
+def backend(backends: Sequence[str], default: str, text: str) -> Decorator:
     """Return the option ``--on``; the command receives it as ``backend``."""
     return click.option(
         "--on",
@@ -200,7 +202,7 @@ def force(
 BAG = click.argument("bag", type=FILE)
 
 
-def robot(also: str = "") -> Decorator:
-    """Return the option that selects a robot in a bag."""
+def namespace_in_bag(also: str = "") -> Decorator:
+    """Return the option that selects a robot in a bag by its namespace."""
     text = f"Namespace of the robot, if the bag holds more than one{also}."
     return click.option("--namespace", type=_Namespace(), help=text)

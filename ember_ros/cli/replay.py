@@ -30,13 +30,13 @@ def _rate(text: str, **more: Any) -> options.Decorator:
 
 @click.command("replay")
 @options.BAG
-@options.on(
+@options.backend(
     ("loop", "graph"),
     "loop",
     "loop: without ROS, fastest. graph: real leg nodes, table node and CPG node.",
 )
 @_rate("; 0: as fast as possible", type=options.FiniteRange(0.0), default=0.0)
-@options.robot("; with --on graph also the namespace of the nodes")
+@options.namespace_in_bag("; with --on graph also the namespace of the nodes")
 @click.option(
     "--table", "table_file", type=options.FILE, help="Write the table at the end to this new file."
 )
@@ -113,7 +113,7 @@ def _robot(bag: Path, namespace: str | None, backend: str) -> Bag:
     help="Leave out this leg's commands, because a live leg node publishes them. Playing starts "
     "once the node is connected.",
 )
-@options.robot()
+@options.namespace_in_bag()
 def play_command(
     bag: Path,
     rate: float,
@@ -180,7 +180,7 @@ def _numbers() -> options.Decorator:
                 kind = _Numbers()
             text = f"{spec.doc} [{spec.unit}]"
             added.append(click.option(f"--{name}", name.replace(".", "__"), type=kind, help=text))
-    return options.together(*added)
+    return options.combined(*added)
 
 
 @click.command("relearn")
@@ -191,10 +191,10 @@ def _numbers() -> options.Decorator:
 @click.option(
     "--passes", type=click.IntRange(1), default=1, show_default=True, help="Passes over all bags."
 )
-@options.of_node("--stage", also=". Default: that of the first bag's world", default=None)
+@options.shared_with_nodes("--stage", also=". Default: that of the first bag's world", default=None)
 @options.TABLE
 @options.PARAMS
-@options.robot()
+@options.namespace_in_bag()
 @options.out("out/relearn", "table.npz, params.yaml and relearn.json")
 @options.force("Replace what an earlier relearn left in --out.")
 @_numbers()

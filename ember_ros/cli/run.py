@@ -22,6 +22,7 @@ from ember_ros.run import (
     PICTURE,
     SUMMARY,
     TABLE,
+    learns_by_default,
     need_ros,
     recover,
     refuse_to_replace,
@@ -32,9 +33,9 @@ from ember_ros.spinning import Stop, prepare_environment, stop_signals
 from ember_ros.terminal import command_line, console, grid, progress
 
 
-def _of_a_run(*, cycles: int, out: str, backend: str) -> options.Decorator:
+def _run_options(*, cycles: int, out: str, backend: str) -> options.Decorator:
     """Return a decorator that adds the options which ``train`` and ``walk`` share."""
-    return options.together(
+    return options.combined(
         options.cycles(cycles, "Cycles of the pattern generator, each one step of every leg."),
         options.SEED,
         options.out(out, "table.npz, cycles.csv, summary.json and run.png"),
@@ -52,12 +53,12 @@ def _of_a_run(*, cycles: int, out: str, backend: str) -> options.Decorator:
             "--learn/--freeze",
             "learning",
             default=None,
-            help="Whether the table changes. Default: --learn with --policy learned, otherwise "
-            "--freeze.",
+            help="Whether the table changes. Default: --freeze with --policy scripted or random, "
+            "otherwise --learn.",
         ),
-        options.of_node("--policy", also="; scripted and random are baselines"),
+        options.shared_with_nodes("--policy", also="; scripted and random are baselines"),
         options.NAMESPACE,
-        options.on(
+        options.backend(
             BACKENDS,
             backend,
             "loop: without ROS, fastest. graph: all nodes in this process. processes: one process "
@@ -69,7 +70,7 @@ def _of_a_run(*, cycles: int, out: str, backend: str) -> options.Decorator:
 
 
 @click.command("train")
-@_of_a_run(cycles=6000, out="out/train", backend="loop")
+@_run_options(cycles=6000, out="out/train", backend="loop")
 def train_command(**arguments: Any) -> None:
     """Train one leg on the cantilever trainer.
 
@@ -78,11 +79,11 @@ def train_command(**arguments: Any) -> None:
     ember train --seed 3 --out out/seed3     with another seed
     ember walk --table out/train/table.npz   walk with four legs that have this table
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
-    _run("trainer", **arguments)
+    _train_or_walk("trainer", **arguments)
 
 
 @click.command("walk")
-@_of_a_run(cycles=300, out="out/walk", backend="graph")
+@_run_options(cycles=300, out="out/walk", backend="graph")
 def walk_command(**arguments: Any) -> None:
     """Walk with four legs that carry a body and continue to learn.
 
@@ -93,28 +94,30 @@ def walk_command(**arguments: Any) -> None:
     ember walk --policy scripted             the scripted baseline
     ember walk --on processes --table ...    one process per node
     """  # noqa: D301  click reads the backspace as: keep these lines as they are
-    _run("walker", **arguments)
+    _train_or_walk("walker", **arguments)
 
 
-def _run(
+def config_from_options(
     world: str,
     *,
     cycles: int,
     seed: int,
-    out: Path,
     params_files: tuple[Path, ...],
     settings: tuple[str, ...],
     table: Path | None,
     resume: Path | None,
     learning: bool | None,
     policy: str,
-    backend: str,
-    namespace: str,
-    force: bool,
-    bag: Path | None,
-    split_mb: float,
-    split_s: float,
-) -> None:
+) -> RunConfig:
+    """Return what the options of ``train`` and ``walk`` ask to run.
+
+    ``--resume`` keeps the run's own parameters unless ``--params`` is given; ``--set`` is laid on
+    either.
+
+    Raises:
+        ParameterError: an option or a parameter is wrong, or the run cannot be resumed.
+        TableError: the table of the run to resume cannot be read.
+    """
     start_cycle, params = 0, load_params(*params_files, settings=settings)
     if resume is not None:
         if table is not None:
@@ -123,16 +126,44 @@ def _run(
         recover(resume)
         start_cycle, own_params = resume_point(resume, world)
         params = params if params_files else changed(own_params, settings)
-    config = RunConfig(
+    return RunConfig(
         world,
         cycles,
         seed=seed,
         params=params,
         policy=policy,
-        learning=policy == "learned" if learning is None else learning,
+        learning=learns_by_default(policy) if learning is None else learning,
         table=table,
         start_cycle=start_cycle,
     )
+
+
+def _train_or_walk(
+    world: str,
+    *,
+    out: Path,
+    backend: str,
+    namespace: str,
+    force: bool,
+    bag: Path | None,
+    split_mb: float,
+    split_s: float,
+    **config_options: Any,
+) -> None:
+    """Run, draw the figure, and print the results.
+
+    Args:
+        world: in which the legs are mounted.
+        out: folder of the run.
+        backend: one of ``BACKENDS``.
+        namespace: of all nodes.
+        force: whether an earlier run in ``out`` may be replaced.
+        bag: folder of the bag to record; None for none.
+        split_mb: megabytes after which the bag starts a new file; 0: never.
+        split_s: simulated seconds after which the bag starts a new file; 0: never.
+        **config_options: the options that ``config_from_options`` takes.
+    """
+    config = config_from_options(world, **config_options)
     if bag is None and (split_mb or split_s):
         raise ParameterError("--split-mb and --split-s need --bag")
     if not force:
@@ -145,7 +176,7 @@ def _run(
             config, backend, out, stop, bag_options, namespace, replace=force
         )
         label = "trained" if world == "trainer" else "walked"
-        drawn = figures.draw(out / PICTURE, ticks=params.gait.ticks, **{label: record})
+        drawn = figures.draw(out / PICTURE, ticks=config.params.gait.ticks, **{label: record})
     _print({label: summary})
     picture = f", {PICTURE}" if drawn else "; no whole cycle to draw"
     console.print(f"In {out}: {TABLE}, cycles.csv, {SUMMARY}{picture}")
@@ -159,7 +190,7 @@ def _run(
 @click.command("demo")
 @options.cycles(6000, "On the trainer.")
 @options.cycles(300, "On the body.", flag="--walk-cycles")
-@options.of_node("--seed", type=int, help="Seed of both runs.")
+@options.shared_with_nodes("--seed", type=int, help="Seed of both runs.")
 @options.NAMESPACE
 @options.PARAMS
 @options.out("out/demo", "both runs and demo.png")
@@ -223,12 +254,15 @@ def _run_with_progress(
     label = "walking" if config.world == "walker" else "training"
     with progress(f"{label} ({backend})", config.cycles) as update:
 
-        def go_on(done: int, falls: int) -> bool:
+        def show(done: int, falls: int) -> None:
             update(done, f"{done}/{config.cycles} cycles, {falls} falls")
+
+        def go_on(done: int, falls: int) -> bool:
+            show(done, falls)
             return not stop.requested
 
         record, summary = run(config, backend, out, go_on, command_line(), bag, namespace, replace)
-        go_on(summary["cycles"], summary["falls"])
+        show(summary["cycles"], summary["falls"])
     return record, summary
 
 
