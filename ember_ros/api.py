@@ -1,6 +1,6 @@
-"""What a notebook calls: train a leg, let legs walk, and look at what came of it.
+"""Functions for a notebook: train a leg, let a robot walk, load a finished run.
 
-Everything runs as ``ember`` runs it with ``--on loop``: the same call gives the same bits.
+All runs use the direct loop, like ``ember --on loop``: the same arguments give the same bits.
 """
 
 from __future__ import annotations
@@ -30,200 +30,216 @@ from leg_node.table_file import check_cells
 
 __all__ = ["load", "make_params", "train", "walk"]
 
-GivenParams: TypeAlias = "Params | Mapping[str, Any] | str | Path"
-"""All parameters, some by full names, or a file of them by its path or name."""
-GivenPart: TypeAlias = "str | Callable[..., Any] | None"
-"""A class, or its dotted path; None for the one that the parameters name."""
-GivenTable: TypeAlias = "SavedRun | QTable | str | Path | None"
-"""A run, for what it learnt; a table; a table's file by its path or name; None for nothing."""
+ParamsLike: TypeAlias = "Params | Mapping[str, Any] | str | Path"
+"""A ``Params``, a dict of full parameter names, or the path or name of a parameter file."""
+PartLike: TypeAlias = "str | Callable[..., Any] | None"
+"""A class or its dotted path; None for the one that the parameters name."""
+TableLike: TypeAlias = "SavedRun | QTable | str | Path | None"
+"""A run (its learnt table), a table, the path or name of a table file, or None for no table."""
 
 
 def train(
     cycles: int = 6000,
     seed: int = 0,
     *,
-    params: GivenParams | Sequence[GivenParams] | None = None,
-    reward: GivenPart = None,
-    discretizer: GivenPart = None,
-    learner: GivenPart = None,
-    value: GivenPart = None,
-    gait: GivenPart = None,
-    cpg: GivenPart = None,
+    params: ParamsLike | Sequence[ParamsLike] | None = None,
+    reward: PartLike = None,
+    discretizer: PartLike = None,
+    learner: PartLike = None,
+    value: PartLike = None,
+    gait: PartLike = None,
+    cpg: PartLike = None,
     world: str | Callable[..., Any] = "trainer",
     policy: str | Callable[..., Any] = "learned",
-    table: GivenTable = None,
+    table: TableLike = None,
     learning: bool | None = None,
     start_cycle: int = 0,
     progress: bool = True,
 ) -> Run:
-    """Train one leg on the trainer by the direct loop, as ``ember train`` does.
+    """Train one leg on the trainer with the direct loop, as ``ember train`` does.
 
     Args:
-        cycles: of the pattern generator, 32 ticks each: steps of the leg.
-        seed: of the run: everything that is drawn follows from it.
-        params: laid one on the other in their order: names or paths of parameter files
-            (``"plain"``), and dicts of full names (``{"trainer.tip_mass": 2.0}``). They lie on
-            the defaults, on a ``Params`` that comes first, or else on those that ``table`` was
-            learnt with.
-        reward: a class that does what ``RewardFunction`` says, or its dotted path.
-        discretizer: the same, of ``Discretizer``.
-        learner: the same, of ``Learner``.
-        value: the same, of ``ValueEstimate``.
-        gait: the same, of ``Gait``.
-        cpg: the same, of ``CentralPatternGenerator``.
-        world: ``"trainer"``, ``"walker"``, a class that does what ``World`` says, or its path.
-        policy: ``"learned"``, ``"scripted"``, ``"random"``, a class that does what ``Policy``
-            says, or its dotted path.
-        table: to start from; it brings the parameters that it was learnt with.
-        learning: whether the table changes; None: unless the policy chooses without it.
-        start_cycle: cycles that were learnt before: exploration goes on from there. At 0 it begins
-            anew, whatever the table knows.
-        progress: whether to show how far it is, on standard error.
+        cycles: cycles of the central pattern generator to run; one is ``gait.ticks`` ticks (32 by
+            default), which is one step of the leg.
+        seed: seed of all random numbers of the run.
+        params: one or several of: name or path of a parameter file (``"plain"``), dict of full
+            parameter names (``{"trainer.tip_mass": 2.0}``), ``Params``. Later ones override earlier
+            ones. The base is a ``Params`` that comes first, otherwise the parameters that ``table``
+            was learnt with, otherwise the defaults.
+        reward: class that implements ``RewardFunction``, or its dotted path.
+        discretizer: class that implements ``Discretizer``, or its dotted path.
+        learner: class that implements ``Learner``, or its dotted path.
+        value: class that implements ``ValueEstimate``, or its dotted path.
+        gait: class that implements ``Gait``, or its dotted path.
+        cpg: class that implements ``CentralPatternGenerator``, or its dotted path.
+        world: ``"trainer"``, ``"walker"``, a class that implements ``World``, or its dotted path.
+        policy: ``"learned"``, ``"scripted"``, ``"random"``, a class that implements ``Policy``, or
+            its dotted path.
+        table: the Q-table to start from, with the parameters that it was learnt with.
+        learning: whether the table is updated. None: yes, unless the policy does not read it.
+        start_cycle: cycles of learning before this run; the exploration schedule continues there.
+            At 0 the schedule starts from its beginning, even if ``table`` is already trained.
+        progress: whether to show the progress on standard error.
 
-    A class is named by its dotted path, in ``run.params.parts`` and in all hashes. That of a
-    notebook is ``__main__.MyReward``, which is known in this process alone: in another one nobody
-    can run with it. It is a name alone: a class that was changed has the same name as before.
+    Returns:
+        The run with all signals of all ticks.
+
+    A class is identified by its dotted path, in ``run.params.parts`` and in all hashes. The path of
+    a class of a notebook, ``__main__.MyReward``, exists in this process only: no other process can
+    load it. Only the path is recorded: a class whose code was changed keeps its path.
 
     Raises:
         ParameterError: a parameter is unknown or out of range, or a part cannot be used.
         TableError: the table cannot be used with these parameters.
     """
-    parts = _parts(
+    parts = _part_params(
         reward=reward, discretizer=discretizer, learner=learner, value=value, gait=gait, cpg=cpg
     )
     return _run(cycles, seed, params, parts, world, policy, table, learning, start_cycle, progress)
 
 
 def walk(
-    table: GivenTable = None,
+    table: TableLike = None,
     cycles: int = 300,
     seed: int = 0,
     *,
-    params: GivenParams | Sequence[GivenParams] | None = None,
-    reward: GivenPart = None,
-    discretizer: GivenPart = None,
-    learner: GivenPart = None,
-    value: GivenPart = None,
-    gait: GivenPart = None,
-    cpg: GivenPart = None,
+    params: ParamsLike | Sequence[ParamsLike] | None = None,
+    reward: PartLike = None,
+    discretizer: PartLike = None,
+    learner: PartLike = None,
+    value: PartLike = None,
+    gait: PartLike = None,
+    cpg: PartLike = None,
     world: str | Callable[..., Any] = "walker",
     policy: str | Callable[..., Any] = "learned",
     learning: bool | None = None,
     start_cycle: int = 0,
     progress: bool = True,
 ) -> Run:
-    """Let legs carry a body by the direct loop, still learning, as ``ember walk`` does.
+    """Let the robot walk with the direct loop, still learning, as ``ember walk`` does.
 
-    All as in ``train``, but for the world. The table brings the parameters that it was learnt with,
-    so that ``walk(train(reward=MyReward))`` is rewarded by the same class.
+    The arguments are those of ``train``; the default world differs. The parameters that the table
+    was learnt with are kept, so ``walk(train(reward=MyReward))`` uses the same reward class.
 
     Args:
-        table: to start from: what ``train`` returned, a path, or None for legs that know nothing.
-        cycles: of the pattern generator, 32 ticks each.
-        seed: of the run.
-        params: laid one on the other, and on those of the table.
-        reward: a class or its dotted path; so are the other parts.
-        discretizer: turns senses into a state.
-        learner: turns transitions into updates.
-        value: reads values from the table.
-        gait: turns the beat into stance and the hip's goal.
-        cpg: says the phase.
+        table: the Q-table to start from: the result of ``train``, a path, or None for an empty one.
+        cycles: cycles of the central pattern generator to run, ``gait.ticks`` ticks each.
+        seed: seed of all random numbers of the run.
+        params: override the parameters of the table; later ones override earlier ones.
+        reward: class or dotted path: computes the reward of a tick.
+        discretizer: class or dotted path: turns senses into a state.
+        learner: class or dotted path: turns transitions into updates of the table.
+        value: class or dotted path: estimates action values from the table.
+        gait: class or dotted path: turns the phase into stance or swing and a hip target.
+        cpg: class or dotted path: generates the phase.
         world: a name, a class or its dotted path.
         policy: a name, a class or its dotted path.
-        learning: whether the table changes; None: unless the policy chooses without it.
-        start_cycle: cycles that were learnt before.
-        progress: whether to show how far it is, on standard error.
+        learning: whether the table is updated. None: yes, unless the policy does not read it.
+        start_cycle: cycles of learning before this run.
+        progress: whether to show the progress on standard error.
+
+    Returns:
+        The run with all signals of all ticks.
 
     Raises:
         ParameterError: a parameter is unknown or out of range, or a part cannot be used.
         TableError: the table cannot be used with these parameters.
     """
-    parts = _parts(
+    parts = _part_params(
         reward=reward, discretizer=discretizer, learner=learner, value=value, gait=gait, cpg=cpg
     )
     return _run(cycles, seed, params, parts, world, policy, table, learning, start_cycle, progress)
 
 
-def make_params(*given: GivenParams) -> Params:
-    """Return parameters: files and dicts laid one on the other, on a ``Params`` or the defaults.
+def make_params(*layers: ParamsLike) -> Params:
+    """Return the parameters of several files and dicts; later ones override earlier ones.
 
-    ``make_params("plain", "narrow", {"walker.mass": 4.0})``; later ones win.
+    Example: ``make_params("plain", "narrow", {"walker.mass": 4.0})``.
 
     Args:
-        *given: names or paths of parameter files, dicts of full names, a ``Params`` as the first.
+        *layers: names or paths of parameter files, and dicts of full parameter names. The first may
+            be a ``Params``, the base; without one the base is the defaults.
 
     Raises:
         ParameterError: a file cannot be read, or a name or value is wrong.
     """
-    return _laid(Params(), given)
+    return _override(Params(), layers)
 
 
-def _laid(base: Params, given: Sequence[GivenParams]) -> Params:
-    """Return parameters with others laid on them."""
-    for is_file, some in groupby(given, lambda each: isinstance(each, (str, Path))):
-        layers: list[Any] = list(some)
-        if is_file:  # together, so that they are held against each other as `ember` does
-            base = load_params(*layers, base=base)
+def _override(base: Params, layers: Sequence[ParamsLike]) -> Params:
+    """Return ``base`` with the values of files and dicts, in their order."""
+    for is_file, group in groupby(layers, lambda layer: isinstance(layer, (str, Path))):
+        adjacent: list[Any] = list(group)
+        # Files that follow each other are loaded together, so that they are checked against each
+        # other as `ember` does.
+        if is_file:
+            base = load_params(*adjacent, base=base)
             continue
-        for layer in layers:
+        for layer in adjacent:
             if isinstance(layer, Mapping):
-                base = replace(base, {_name(name): _plain(v) for name, v in layer.items()})
+                base = replace(
+                    base, {_checked_name(name): _to_python(v) for name, v in layer.items()}
+                )
             elif not isinstance(layer, Params):
                 raise ParameterError(
                     f"params = {shown(layer)}: a Params, a dict of full names, a file's name or "
                     "path, or a list of these would be right"
                 )
-            elif layer is given[0]:
+            elif layer is layers[0]:
                 base = layer
             else:
                 raise ParameterError(
-                    "params: a Params says every number, and nothing may come before it"
+                    "params: a Params has all parameters, so it must be the first of the list"
                 )
     return base
 
 
-def _name(name: Any) -> str:
+def _checked_name(name: Any) -> str:
     if not isinstance(name, str):
         raise ParameterError(
-            f"params: {shown(name)} is no name; a full one, such as 'walker.mass', would be right"
+            f"params: {shown(name)} is no parameter name; a full one, such as "
+            "'walker.mass', would be right"
         )
     return name
 
 
-def _plain(value: Any) -> Any:
-    """Return a value of numpy as Python has it."""
+def _to_python(value: Any) -> Any:
+    """Return a NumPy scalar or array as Python numbers; other values as they are."""
     return value.tolist() if isinstance(value, (np.generic, np.ndarray)) else value
 
 
-def _parts(**given: GivenPart) -> dict[str, str]:
+def _part_params(**parts: PartLike) -> dict[str, str]:
+    """Return the parameters ``parts.*`` of the parts that are not None."""
     return {
-        f"parts.{name}": _path_of(part, name) for name, part in given.items() if part is not None
+        f"parts.{name}": _dotted_path(part, name)
+        for name, part in parts.items()
+        if part is not None
     }
 
 
-def _path_of(part: Any, name: str) -> str:
+def _dotted_path(part: Any, name: str) -> str:
     """Return the dotted path of a class, or of a function that makes a part.
 
     Raises:
-        ParameterError: it has none by which it would be found again.
+        ParameterError: it cannot be imported by a dotted path.
     """
     if isinstance(part, str):
         return part
-    module, own = getattr(part, "__module__", None), getattr(part, "__qualname__", None)
-    if not callable(part) or not isinstance(module, str) or not isinstance(own, str):
+    module, qualname = getattr(part, "__module__", None), getattr(part, "__qualname__", None)
+    if not callable(part) or not isinstance(module, str) or not isinstance(qualname, str):
         raise ParameterError(
             f"{name} = {shown(part)} is neither a class nor the dotted path of one"
         )
-    if getattr(sys.modules.get(module), own, None) is not part:
+    if getattr(sys.modules.get(module), qualname, None) is not part:
         raise ParameterError(
-            f"{name} = {shown(part)} is not what {module}.{own} names now; a class at the top "
-            "level of a module or notebook, as it was defined last, would be right"
+            f"{name} = {shown(part)} is not the present value of {module}.{qualname}; a class at "
+            "the top level of a module or notebook, as it was defined last, would be right"
         )
-    return f"{module}.{own}"
+    return f"{module}.{qualname}"
 
 
-def _start(table: GivenTable) -> tuple[QTable | None, Path | None]:
-    """Return the table to start from, and its file if it is one.
+def _start_table(table: TableLike) -> tuple[QTable | None, Path | None]:
+    """Return the table to start from, and its path if it comes from a file.
 
     Raises:
         TableError: there is no such table.
@@ -238,7 +254,7 @@ def _start(table: GivenTable) -> tuple[QTable | None, Path | None]:
     return QTable.load(file), file
 
 
-def _whole(value: Any, name: str) -> int:
+def _integer(value: Any, name: str) -> int:
     try:
         return operator.index(value)
     except TypeError:
@@ -248,46 +264,48 @@ def _whole(value: Any, name: str) -> int:
 def _run(
     cycles: int,
     seed: int,
-    params: GivenParams | Sequence[GivenParams] | None,
+    params: ParamsLike | Sequence[ParamsLike] | None,
     parts: Mapping[str, str],
     world: Any,
     policy: Any,
-    table: GivenTable,
+    table: TableLike,
     learning: bool | None,
     start_cycle: int,
     progress: bool,
 ) -> Run:
-    start, file = _start(table)
+    start, file = _start_table(table)
     if params is None:
-        given: Sequence[GivenParams] = ()
+        layers: Sequence[ParamsLike] = ()
     else:
-        given = [params] if isinstance(params, (Params, Mapping, str, Path)) else list(params)
-    own = replace(_laid(start.params if start else Params(), given), parts)
-    policy = _path_of(policy, "policy")
+        layers = [params] if isinstance(params, (Params, Mapping, str, Path)) else list(params)
+    run_params = replace(_override(start.params if start else Params(), layers), parts)
+    policy = _dotted_path(policy, "policy")
     config = RunConfig(
-        _path_of(world, "world"),
-        _whole(cycles, "cycles"),
-        seed=_whole(seed, "seed"),
-        params=own,
+        _dotted_path(world, "world"),
+        _integer(cycles, "cycles"),
+        seed=_integer(seed, "seed"),
+        params=run_params,
         policy=policy,
         learning=learns_by_default(policy) if learning is None else learning,
         table=file,
-        start_cycle=_whole(start_cycle, "start_cycle"),
+        start_cycle=_integer(start_cycle, "start_cycle"),
     )
     if start is not None:
-        check_cells("the table", cells_sha256(start.params), own)
-    where = provenance()
+        check_cells("the table", cells_sha256(start.params), run_params)
+    origin = provenance()
     loop = Loop(config)
     try:
         if start is not None and file is None:
-            loop.shared.table.copy_from(start.cells())  # which legs pull before their first tick
-        recorder, collector = RunStatistics(own, config.legs), Collector(own, config.legs)
-        with _shown(config, progress) as update:
+            # Before the first tick, because the legs pull the shared table at its beginning.
+            loop.shared.table.copy_from(start.cells())
+        recorder = RunStatistics(run_params, config.legs)
+        collector = Collector(run_params, config.legs)
+        with _progress(config, progress) as update:
             for cycle in range(config.cycles):
                 update(cycle, loop.world.body().falls)
-                for _ in range(own.gait.ticks):
+                for _ in range(run_params.gait.ticks):
                     loop.tick(recorder, collector)
-        learnt = loop.finish()
+        table_at_end = loop.finish()
         recorder.finish(loop.world.observe(), loop.world.body())
     finally:
         loop.close()
@@ -295,17 +313,21 @@ def _run(
     return Run(
         config,
         record,
-        QTable.of(learnt, own),
+        QTable.of(table_at_end, run_params),
         collector.ticks(record),
-        where,
+        origin,
         start.sha256 if start else None,
     )
 
 
 @contextmanager
-def _shown(config: RunConfig, wanted: bool) -> Iterator[Callable[[int, int], None]]:
-    """Show how far a run is, if that is wanted."""
-    if not wanted:
+def _progress(config: RunConfig, enabled: bool) -> Iterator[Callable[[int, int], None]]:
+    """Show the progress of a run, if enabled.
+
+    Yields:
+        The function to call with the number of cycles and of falls so far.
+    """
+    if not enabled:
         yield lambda done, falls: None
         return
     from ember_ros.terminal import progress

@@ -1,8 +1,8 @@
-"""What happened in a run, tick by tick, as arrays by name. Pure.
+"""The signals of all ticks of a run as named NumPy arrays. Pure.
 
-Row ``t`` of every array is about tick ``t``: what is sensed at its start, what is chosen then, and
-what that was worth, which is known one tick later. The columns of ``(ticks, legs)`` are the legs
-in the order of ``run.legs``. All arrays are read-only.
+Row ``t`` of each array belongs to tick ``t``: the senses at its start, the action chosen then, and
+the reward for it, which is computed one tick later. The columns of arrays of shape
+``(ticks, legs)`` are the legs in the order of ``run.legs``. All arrays are read-only.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ Bools = NDArray[np.bool_]
 
 
 class Columns:
-    """Arrays of one shape, by name."""
+    """A dataclass whose fields are arrays of one shape."""
 
     def __repr__(self) -> str:
-        """Return names, types and shapes; the numbers are too many."""
+        """Return names, types and shapes of the arrays, without their values."""
         fields = dataclasses.fields(self)  # type: ignore[arg-type]
-        told = ((f.name, getattr(self, f.name)) for f in fields)
-        lines = [f"  {name}: {column.dtype} {column.shape}" for name, column in told]
+        columns = ((field.name, getattr(self, field.name)) for field in fields)
+        lines = [f"  {name}: {column.dtype} {column.shape}" for name, column in columns]
         return "\n".join([f"{type(self).__name__} of", *lines])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Senses(Columns):
-    """What is mounted on each leg and reads there at the start of a tick, each ``(ticks, legs)``.
+    """The readings of each leg's sensors at the start of a tick, each ``(ticks, legs)``.
 
-    Force, slip and contact speak of the tick that just ended, as in ``signals.LegSense``.
+    Force, slip and contact are those of the tick that just ended, as in ``signals.LegSense``.
     """
 
     hip: Floats
@@ -48,98 +48,99 @@ class Senses(Columns):
     knee: Floats
     """Knee angle relative to the thigh, rad, 0 when the leg is straight."""
     hip_speed: Floats
-    """rad/s"""
+    """Angular speed of the hip joint, rad/s."""
     knee_speed: Floats
-    """rad/s"""
+    """Angular speed of the knee joint, rad/s."""
     force_mean: Floats
     """Vertical force between ground and foot, mean over the tick, N."""
     force_peak: Floats
-    """The same, largest value within the tick, N."""
+    """Vertical force between ground and foot, maximum over the tick, N."""
     inclination: Floats
-    """Angle of the shank from the vertical in the leg's plane, rad, foot ahead positive."""
+    """Angle of the shank from the vertical in the leg's plane, rad, positive if the foot is in
+    front of the knee."""
     slip: Floats
-    """Distance the foot slid on the ground in the tick, m, never < 0."""
+    """Distance that the foot slid on the ground during the tick, m, 0 or more."""
     hair: Bools
-    """The hair in front of the foot touches the ground."""
+    """Whether the hair (touch sensor) in front of the foot touches the ground."""
     contact: Bools
-    """The foot touched the ground at the end of the tick."""
+    """Whether the foot touched the ground at the end of the tick."""
     first_tick: Bools
-    """The leg was picked up and put down just now, after a fall."""
+    """Whether the robot was put back on its feet after a fall, just before this tick."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Commands(Columns):
-    """What each leg asks of its motors during a tick, each ``(ticks, legs)``."""
+    """The motor commands of each leg for a tick, each ``(ticks, legs)``."""
 
     hip_speed: Floats
-    """rad/s"""
+    """Target speed of the hip motor, rad/s."""
     knee_speed: Floats
-    """rad/s"""
+    """Target speed of the knee motor, rad/s."""
     hip_torque: Floats
-    """Largest torque the motor may use to reach its speed, N m."""
+    """Maximum torque of the hip motor, N m."""
     knee_torque: Floats
-    """N m"""
+    """Maximum torque of the knee motor, N m."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pose(Columns):
-    """Where the body is at the start of a tick, each ``(ticks,)``."""
+    """The pose of the body in the world frame at the start of a tick, each ``(ticks,)``."""
 
     x: Floats
-    """m; on the trainer the distance walked along the circle."""
+    """Position, m; on the trainer, the distance walked along the circle."""
     y: Floats
-    """m; on the trainer 0."""
+    """Position, m; 0 on the trainer."""
     roll: Floats
-    """rad"""
+    """Roll angle, rad."""
     pitch: Floats
-    """rad, nose down positive."""
+    """Pitch angle, rad, positive if the front is down."""
     yaw: Floats
-    """rad; it goes on past half a turn and does not jump back."""
+    """Yaw angle, rad, unwrapped: it may exceed pi."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Body(Pose):
-    """The world's truth about the body at the start of a tick, each ``(ticks,)``."""
+    """The ground truth of the body at the start of a tick, each ``(ticks,)``."""
 
     height: Floats
-    """Height of the hips over the ground, m."""
+    """Height of the hips above the ground, m."""
     falls: Ints
-    """Falls so far."""
+    """Number of falls since the start of the run."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ticks:
-    """Everything that happened in a run by the tick."""
+    """All signals of all ticks of a run."""
 
     senses: Senses
-    """What each leg sensed."""
+    """Sensor readings of each leg."""
     commands: Commands
-    """What each leg asked of its motors."""
+    """Motor commands of each leg."""
     rewards: dict[str, Floats]
-    """Reward for the tick by term, weighted, ``(ticks, legs)`` each; 0 for a term that did not
-    apply, and where nothing was credited."""
+    """Weighted reward terms of the tick by name, ``(ticks, legs)`` each; 0 for a term that did not
+    apply, and where ``credited`` is False."""
     reward: Floats
     """The sum of the terms, ``(ticks, legs)``."""
     credited: Bools
-    """Whether the tick was rewarded and learnt from, ``(ticks, legs)``: not a run's last tick,
-    whose end no leg senses, nor one in which the robot fell."""
+    """Whether the tick was rewarded and learnt from, ``(ticks, legs)``. False for the last tick of
+    a run, because no senses follow it, and for a tick in which the robot fell."""
     states: Ints
-    """State as the discretizer says, 0 or more, ``(ticks, legs)``."""
+    """Index of the discretized state, 0 or more, ``(ticks, legs)``."""
     actions: Ints
-    """Position of the knee speed in ``leg.knee_speeds``, ``(ticks, legs)``."""
+    """Index of the knee speed in ``leg.knee_speeds``, ``(ticks, legs)``."""
     stances: Bools
-    """Whether the tick is of stance, as the gait says, ``(ticks, legs)``."""
+    """Whether the gait is in stance, ``(ticks, legs)``."""
     td_errors: Floats
-    """What the learner's update was worth that followed the tick: its target less the value that
-    was believed before, ``(ticks, legs)``; 0 where nothing was learnt."""
+    """Temporal-difference error of the update for the tick: target minus old value,
+    ``(ticks, legs)``; 0 where nothing was learnt."""
     phases: Floats
-    """Of the central pattern generator, cycles since the start, ``(ticks,)``."""
+    """Phase of the central pattern generator, cycles since the start, ``(ticks,)``."""
     body: Body
-    """Where the body was."""
+    """Ground truth of the body."""
 
 
 class _Layout(NamedTuple):
-    """Of one leg's tick, as bytes and as a record of numpy."""
+    """Memory layout of one tick of one leg, for ``struct`` and for NumPy."""
 
     packed: struct.Struct
     dtype: np.dtype[np.void]
@@ -164,14 +165,14 @@ def _layout(terms: int) -> _Layout:
 
 
 class Collector:
-    """Keeps every tick of a direct loop in memory: about 170 bytes a leg."""
+    """Observer that keeps all ticks of a direct loop: about 170 bytes per leg and tick."""
 
     def __init__(self, params: Params, legs: Sequence[str]) -> None:
-        """Begin with no tick.
+        """Start without ticks.
 
         Args:
-            params: for the knee speeds that actions are positions of.
-            legs: their names, in order.
+            params: define the knee speeds, in whose order actions are numbered.
+            legs: names of the legs, in order.
         """
         self._speeds, self._legs = np.array(params.leg.knee_speeds), len(legs)
         self._data = bytearray()
@@ -188,86 +189,89 @@ class Collector:
         body: BodyState,
         transitions: Sequence[Transition | None],
     ) -> None:
-        """Take one tick of a loop, in which every leg commands and tells its transition."""
+        """Append one tick; every leg must have a command and a transition."""
         if not self._phases:
             first = transitions[0]
             assert first is not None
             self._names = tuple(name for name, _ in first.terms)
             self._layout = _layout(len(self._names))
         pack = self._layout.packed.pack
-        for sense, command, did in zip(senses, commands, transitions, strict=True):
+        for sense, command, transition in zip(senses, commands, transitions, strict=True):
             assert command is not None
-            assert did is not None
+            assert transition is not None
             self._data += pack(
                 *sense[1:],
                 *command[1:],
-                did.next_state,
-                did.next_stance,
-                did.action >= 0,
-                did.td_error,
-                *[value for _, value in did.terms],
+                transition.next_state,
+                transition.next_stance,
+                transition.action >= 0,
+                transition.td_error,
+                *[value for _, value in transition.terms],
             )
         self._phases.append(beat.phase)
         self._heights.append(body.height)
         self._falls.append(body.falls)
 
     def ticks(self, record: RunRecord) -> Ticks:
-        """Return everything as arrays.
+        """Return all ticks as arrays.
 
         Args:
-            record: of the same run, for the pose of the body.
+            record: the record of the same run; it has the pose of the body.
         """
         legs, count = self._legs, len(self._phases)
-        every = np.frombuffer(self._data, self._layout.dtype).reshape(count, legs)
-        floats, flags, command = every["floats"], every["flags"], every["command"]
-        terms = {name: _later(every["terms"][:, :, n]) for n, name in enumerate(self._names)}
+        records = np.frombuffer(self._data, self._layout.dtype).reshape(count, legs)
+        floats, flags, command = records["floats"], records["flags"], records["command"]
+        terms = {name: _shifted(records["terms"][:, :, n]) for n, name in enumerate(self._names)}
         reward = np.zeros((count, legs))
         for values in terms.values():  # in the order in which a transition adds them
             reward += values
-        speeds = [_kept(command[:, :, n]) for n in range(4)]
+        command_columns = [_frozen(command[:, :, n]) for n in range(4)]
         x, y, roll, pitch, yaw = _pose(record)
         return Ticks(
             senses=Senses(
-                *(_kept(floats[:, :, n]) for n in range(8)),
-                *(_kept(flags[:, :, n]) for n in range(3)),
+                *(_frozen(floats[:, :, n]) for n in range(8)),
+                *(_frozen(flags[:, :, n]) for n in range(3)),
             ),
-            commands=Commands(*speeds),
+            commands=Commands(*command_columns),
             rewards=terms,
-            reward=_kept(reward),
-            credited=_later(every["credited"]),
-            states=_kept(every["state"]),
-            # By its speed: a transition tells the action only where there is a reward for it.
-            actions=_kept(np.searchsorted(self._speeds, speeds[1])),
-            stances=_kept(every["stance"]),
-            td_errors=_later(every["td_error"]),
-            phases=_kept(np.array(self._phases)),
+            reward=_frozen(reward),
+            credited=_shifted(records["credited"]),
+            states=_frozen(records["state"]),
+            # From the speed, because a transition has its action only if the tick was credited.
+            actions=_frozen(np.searchsorted(self._speeds, command_columns[1])),
+            stances=_frozen(records["stance"]),
+            td_errors=_shifted(records["td_error"]),
+            phases=_frozen(np.array(self._phases)),
             body=Body(
                 x, y, roll, pitch, yaw,
-                height=_kept(np.array(self._heights)),
-                falls=_kept(np.array(self._falls, dtype=np.int64)),
+                height=_frozen(np.array(self._heights)),
+                falls=_frozen(np.array(self._falls, dtype=np.int64)),
             ),
         )  # fmt: skip
 
 
 def pose_of(record: RunRecord) -> Pose:
-    """Return the traces of a record by name."""
+    """Return the columns of a record's traces by name."""
     return Pose(*_pose(record))
 
 
 def _pose(record: RunRecord) -> list[Floats]:
-    return [_kept(record.traces[:, n]) for n in range(len(TRACE))]
+    return [_frozen(record.traces[:, n]) for n in range(len(TRACE))]
 
 
-def _kept(column: NDArray[Any]) -> NDArray[Any]:
-    """Return a copy in one piece that nobody can change."""
+def _frozen(column: NDArray[Any]) -> NDArray[Any]:
+    """Return a contiguous, read-only copy."""
     copy = np.array(column, order="C")
     copy.flags.writeable = False
     return copy
 
 
-def _later(column: NDArray[Any]) -> NDArray[Any]:
-    """Return what is told one tick later, by the tick that it is about; 0 in the last one."""
-    moved = np.zeros(column.shape, column.dtype)
-    moved[:-1] = column[1:]
-    moved.flags.writeable = False
-    return moved
+def _shifted(column: NDArray[Any]) -> NDArray[Any]:
+    """Return a read-only copy shifted to the tick before, with 0 in the last row.
+
+    A transition is published one tick after the tick that it describes.
+    """
+    shifted = np.zeros(column.shape, column.dtype)
+    shifted[:-1] = column[1:]
+    shifted.flags.writeable = False
+    return shifted

@@ -1,8 +1,8 @@
-"""What a tick costs, and where: measured, never asserted.
+"""Measures the time of a tick in each mode of running, and its parts. No result is checked.
 
-All ways of running one and the same walk are measured in turn, over and over, so that a machine
-that slows down slows all of them; what is quoted are medians, and ratios within one turn. The two
-learners that come with the package are measured so too, by the CPU time of all threads together.
+The same walk is run in all modes in turn, several times, so that a slow phase of the machine
+affects all modes. Results are medians over the repeats, and ratios within one repeat. The two
+learners of the package are compared in the same way, by the CPU time of all threads.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from leg_node.assembly import empty_table
 from leg_node.shared import SharedTable, UpdateBatch
 from leg_node.table_file import save_table
 
-Say = Callable[[str], None]
+Report = Callable[[str], None]
 
 LEARNERS: dict[str, tuple[str, ...]] = {"ember": (), "plain": ("plain",)}
-"""The parameter files of each learner."""
+"""Parameter files by learner."""
 
 
-class _Tape:
-    """Keeps a run's signals, to be used again."""
+class _Recording:
+    """Observer that keeps the signals of a run, to use them again."""
 
     def __init__(self) -> None:
         self.ticks: list[
@@ -55,71 +55,80 @@ class _Tape:
         body: BodyState,
         transitions: Sequence[Transition | None],
     ) -> None:
-        """Keep one tick."""
-        asked = tuple(c for c in commands if c is not None)
-        paid = tuple(t for t in transitions if t is not None)
-        self.ticks.append((beat, tuple(senses), asked, paid))
+        """Append one tick."""
+        present_commands = tuple(c for c in commands if c is not None)
+        present_transitions = tuple(t for t in transitions if t is not None)
+        self.ticks.append((beat, tuple(senses), present_commands, present_transitions))
 
 
 def bench(
-    params: Params, *, cycles: int, repeats: int, train_cycles: int, epochs: int, say: Say
+    params: Params, *, cycles: int, repeats: int, train_cycles: int, epochs: int, report: Report
 ) -> dict[str, Any]:
-    """Measure everything and return it as plain numbers.
+    """Run all measurements.
 
     Args:
-        params: of the robot.
-        cycles: of each measured walk.
-        repeats: turns.
-        train_cycles: of the training that is timed, and that the walks start from.
-        epochs: pushed by four legs and pulled, to see what the table's memory does.
-        say: told what is being measured.
+        params: parameters of the robot.
+        cycles: length of each measured walk, cycles.
+        repeats: how often each mode is measured.
+        train_cycles: length of the timed training, whose table the walks start from.
+        epochs: epochs in which four legs push to and pull from the shared table, to measure its
+            memory.
+        report: function to call with the name of the present measurement.
+
+    Returns:
+        The results as plain numbers by name, as in ``bench.json``.
     """
     with tempfile.TemporaryDirectory(prefix="ember_ros_bench_") as name:
         folder = Path(name)
-        say(f"training {train_cycles} cycles by the loop")
+        report(f"training {train_cycles} cycles by the loop")
         training_s = _train(params, train_cycles, folder / TABLE)
         config = RunConfig("walker", cycles, params=params, table=folder / TABLE)
-        tape, falls = _tape(config)
+        recording, falls = _record(config)
         bags = itertools.count()
-        ways: dict[str, Callable[[], float]] = {
-            "physics": lambda: _physics(config, tape),
+        modes: dict[str, Callable[[], float]] = {
+            "physics": lambda: _physics(config, recording),
             "loop": lambda: _loop(config, record=False),
             "loop, recorded": lambda: _loop(config, record=True),
             "graph": lambda: _graph(config, None),
             "graph, with a bag": lambda: _graph(config, folder / f"bag{next(bags)}"),
             "processes": lambda: _processes(config, folder / "processes"),
-            "conversion": lambda: _conversion(config, tape),
+            "conversion": lambda: _conversion(config, recording),
         }
-        times: dict[str, list[float]] = {way: [] for way in ways}
-        for turn in range(repeats):
-            for way, measure in ways.items():
-                say(f"turn {turn + 1} of {repeats}: {way}")
-                times[way].append(measure())
-        say("learning: ember against plain")
+        times: dict[str, list[float]] = {mode: [] for mode in modes}
+        for repeat in range(repeats):
+            for mode, measure in modes.items():
+                report(f"repeat {repeat + 1} of {repeats}: {mode}")
+                times[mode].append(measure())
+        report("learning: ember against plain")
         learning = _learning(train_cycles, cycles, repeats, folder)
-    say(f"the table over {epochs} epochs")
+    report(f"the table over {epochs} epochs")
     ticks = cycles * params.gait.ticks
-    cost = {way: 1e6 * statistics.median(t) / ticks for way, t in times.items()}
-    real_time = 1.0 / params.gait.tick_s
+    tick_us = {mode: 1e6 * statistics.median(t) / ticks for mode, t in times.items()}
+    ticks_per_s = 1.0 / params.gait.tick_s
 
-    def ratio(of: str, to: str) -> float:
-        return statistics.median(b / a for a, b in zip(times[of], times[to], strict=True))
+    def ratio(numerator: str, denominator: str) -> float:
+        """Return the median over repeats of a ratio of ticks per second."""
+        return statistics.median(
+            b / a for a, b in zip(times[numerator], times[denominator], strict=True)
+        )
 
     return {
         "cycles": cycles,
         "repeats": repeats,
         "falls": falls,
-        "ticks_per_s": {way: 1e6 / us for way, us in cost.items() if way != "conversion"},
+        "ticks_per_s": {mode: 1e6 / us for mode, us in tick_us.items() if mode != "conversion"},
         "loop_of_physics": ratio("loop", "physics"),
         "graph_of_loop": ratio("graph", "loop, recorded"),
         "bag_costs": 1.0 - ratio("graph, with a bag", "graph"),
-        "processes_times_real_time": 1e6 / cost["processes"] / real_time,
+        "processes_times_real_time": 1e6 / tick_us["processes"] / ticks_per_s,
         "us_per_tick": {
-            "physics": cost["physics"],
-            "sensing and learning": cost["loop"] - cost["physics"],
-            "a line a cycle": cost["loop, recorded"] - cost["loop"],
-            "message conversion": cost["conversion"],
-            "executor and transport": cost["graph"] - cost["loop, recorded"] - cost["conversion"],
+            "physics": tick_us["physics"],
+            "sensing and learning": tick_us["loop"] - tick_us["physics"],
+            "a line a cycle": tick_us["loop, recorded"] - tick_us["loop"],
+            "message conversion": tick_us["conversion"],
+            "executor and transport": tick_us["graph"]
+            - tick_us["loop, recorded"]
+            - tick_us["conversion"],
         },
         "learning": learning,
         "training_cycles": train_cycles,
@@ -131,23 +140,24 @@ def bench(
 
 
 def _train(params: Params, cycles: int, file: Path) -> float:
+    """Train, save the table, and return the wall time of the training, s."""
     config = RunConfig("trainer", cycles, params=params)
     loop, recorder = Loop(config), RunStatistics(params, config.legs)
-    began = time.perf_counter()
+    start = time.perf_counter()
     for _ in range(config.cycles * params.gait.ticks):
         loop.tick(recorder)
-    took = time.perf_counter() - began
+    duration = time.perf_counter() - start
     save_table(file, loop.finish(), params, config.seed)
     loop.close()
-    return took
+    return duration
 
 
 def _learning(
     train_cycles: int, cycles: int, repeats: int, folder: Path
 ) -> dict[str, dict[str, float]]:
-    """Return the CPU time of a tick of the loop, us, by world and learner, and their ratio.
+    """Return the CPU time per tick of the loop, us, by world and learner, and their ratio.
 
-    Legs of a walker start from what a leg with the same learner was trained to.
+    The legs of the walker start from the table of a training with the same learner.
     """
     configs: dict[tuple[str, str], RunConfig] = {}
     for learner, files in LEARNERS.items():
@@ -159,36 +169,36 @@ def _learning(
     for _ in range(repeats):
         for each, config in configs.items():
             times[each].append(_loop(config, record=False, clock=time.process_time))
-    found: dict[str, dict[str, float]] = {}
+    results: dict[str, dict[str, float]] = {}
     for world in WORLDS:
         ember, plain = (times[world, learner] for learner in LEARNERS)
         ticks = cycles * configs[world, "ember"].params.gait.ticks
-        found[world] = {
+        results[world] = {
             "ember_us": 1e6 * statistics.median(ember) / ticks,
             "plain_us": 1e6 * statistics.median(plain) / ticks,
             "ember_of_plain": statistics.median(a / b for a, b in zip(ember, plain, strict=True)),
         }
-    return found
+    return results
 
 
-def _tape(config: RunConfig) -> tuple[_Tape, int]:
-    tape, loop = _Tape(), Loop(config)
+def _record(config: RunConfig) -> tuple[_Recording, int]:
+    recording, loop = _Recording(), Loop(config)
     for _ in range(config.cycles * config.params.gait.ticks):
-        loop.tick(tape)
+        loop.tick(recording)
     falls = loop.world.body().falls
     loop.close()
-    return tape, falls
+    return recording, falls
 
 
-def _physics(config: RunConfig, tape: _Tape) -> float:
-    """Drive the motors as the loop did, and sense nothing."""
+def _physics(config: RunConfig, recording: _Recording) -> float:
+    """Return the wall time of the recorded commands without sensing, s."""
     world: Any = make_world(config.world, config.params, config.seed)
-    began = time.perf_counter()
-    for beat, _, commands, _ in tape.ticks:
+    start = time.perf_counter()
+    for beat, _, commands, _ in recording.ticks:
         world.coast(beat, commands)
-    took = time.perf_counter() - began
+    duration = time.perf_counter() - start
     world.close()
-    return took
+    return duration
 
 
 def _loop(
@@ -196,28 +206,33 @@ def _loop(
 ) -> float:
     loop = Loop(config)
     recorders = [RunStatistics(config.params, config.legs)] if record else []
-    began = clock()
+    start = clock()
     for _ in range(config.cycles * config.params.gait.ticks):
         loop.tick(*recorders)
-    took = clock() - began
+    duration = clock() - start
     loop.close()
-    return took
+    return duration
 
 
 def _graph(config: RunConfig, bag: Path | None) -> float:
     graph = Graph(config, bag=BagOptions(bag) if bag else None)
-    while not graph.sim.recorder.traces:  # up to the first tick: matching is not a tick's cost
+    # Up to the first tick, because discovery and matching are not part of the time of a tick.
+    while not graph.sim.recorder.traces:
         graph.spin_once()
-    began = time.perf_counter()
+    start = time.perf_counter()
     while not graph.sim.done:
         graph.spin_once()
-    took = time.perf_counter() - began
+    duration = time.perf_counter() - start
     graph.close()
-    return took
+    return duration
 
 
 def _processes(config: RunConfig, out: Path) -> float:
-    """Measure from the first whole cycle to the last: the start of seven Pythons is no tick."""
+    """Return the wall time of a run in seven processes, s.
+
+    Extrapolated from the time between the first and the last finished cycle, so that the start of
+    the processes is not included.
+    """
     with processes(config, out) as running:
         marks: list[tuple[float, int]] = []
 
@@ -231,44 +246,50 @@ def _processes(config: RunConfig, out: Path) -> float:
 
         running.wait(watch)
     (out / "cycles.csv").unlink()
-    (began, first), (ended, last) = marks[0], marks[-1]
-    return (ended - began) * config.cycles / (last - first)
+    (start, first), (ended, last) = marks[0], marks[-1]
+    return (ended - start) * config.cycles / (last - first)
 
 
-def _conversion(config: RunConfig, tape: _Tape) -> float:
-    """Write and read every message of every tick, and send none."""
+def _conversion(config: RunConfig, recording: _Recording) -> float:
+    """Return the wall time of writing and reading the messages of all ticks without sending, s."""
     gait = config.params.gait
     senses = [wire.SenseWire(leg, gait.tick_ns) for leg in config.legs]
     commands = [wire.CommandWire(leg, gait.tick_ns) for leg in config.legs]
     transitions = [wire.TransitionWire(leg, gait.tick_ns) for leg in config.legs]
-    began = time.perf_counter()
+    start = time.perf_counter()
     beats = wire.BeatWire(gait.tick_ns)
-    for beat, felt, asked, paid in tape.ticks:
-        ns = cdr.read_clock(cdr.pack_clock(felt[0].tick * gait.tick_ns), "clock")
-        told = beats.pack(beat)
-        beats.read(told)
-        for sense_wire, command_wire, transition_wire, sense, command, did in zip(
-            senses, commands, transitions, felt, asked, paid, strict=True
+    for beat, tick_senses, tick_commands, tick_transitions in recording.ticks:
+        ns = cdr.read_clock(cdr.pack_clock(tick_senses[0].tick * gait.tick_ns), "clock")
+        beat_bytes = beats.pack(beat)
+        beats.read(beat_bytes)
+        for sense_wire, command_wire, transition_wire, sense, command, transition in zip(
+            senses,
+            commands,
+            transitions,
+            tick_senses,
+            tick_commands,
+            tick_transitions,
+            strict=True,
         ):
             joints, contact = sense_wire.pack(sense)
             tick, first = sense_wire.read_joints(joints)
             sense_wire.sense(tick, first, sense_wire.read_contact(contact)[1])
-            beats.read(told)
+            beats.read(beat_bytes)
             command_wire.read(command_wire.pack(command))
-            transition_wire.read(transition_wire.pack(did))
-    assert ns == (len(tape.ticks) - 1) * gait.tick_ns
-    return time.perf_counter() - began
+            transition_wire.read(transition_wire.pack(transition))
+    assert ns == (len(recording.ticks) - 1) * gait.tick_ns
+    return time.perf_counter() - start
 
 
 def _table_memory(params: Params, epochs: int) -> dict[str, int]:
-    """Push and pull for many epochs as four legs do, and see what the table's memory does."""
+    """Return the bytes allocated by a shared table after pushes and pulls of four legs."""
     import tracemalloc
 
     cells = cells_sha256(params)
     shared = SharedTable(empty_table(params), legs=4, cells=cells, rate=params.walk.rate)
     ticks, size = params.gait.ticks, len(shared.table)
     early = max(1, epochs // 10)
-    seen: dict[str, int] = {}
+    memory: dict[str, int] = {}
     tracemalloc.start()
     try:
         for epoch in range(epochs):
@@ -282,59 +303,61 @@ def _table_memory(params: Params, epochs: int) -> dict[str, int]:
             for _ in range(4):
                 shared.pull(shared.version, epoch)
             if epoch + 1 in (early, epochs):
-                seen[f"bytes_after_{epoch + 1}_epochs"] = tracemalloc.get_traced_memory()[0]
+                memory[f"bytes_after_{epoch + 1}_epochs"] = tracemalloc.get_traced_memory()[0]
     finally:
         tracemalloc.stop()
-    return seen
+    return memory
 
 
-def lines(found: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return what was measured as pairs of a name and a figure with its unit."""
-    rows = [(way, f"{rate:.0f} ticks/s") for way, rate in found["ticks_per_s"].items()]
+def lines(results: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the results as pairs of a name and a value with its unit."""
+    rows = [(mode, f"{rate:.0f} ticks/s") for mode, rate in results["ticks_per_s"].items()]
     rows += [
-        ("loop, of physics alone", f"{found['loop_of_physics']:.0%}"),
-        ("graph in one process, of the loop", f"{found['graph_of_loop']:.0%}"),
-        ("a bag takes of the graph's ticks/s", f"{found['bag_costs']:.1%}"),
-        ("seven processes", f"{found['processes_times_real_time']:.1f} times real time"),
+        ("loop / physics alone", f"{results['loop_of_physics']:.0%}"),
+        ("graph in one process / loop", f"{results['graph_of_loop']:.0%}"),
+        ("ticks/s of the graph lost by recording a bag", f"{results['bag_costs']:.1%}"),
+        ("seven processes", f"{results['processes_times_real_time']:.1f} times real time"),
     ]
-    rows += [(f"a tick: {part}", f"{cost:.0f} us") for part, cost in found["us_per_tick"].items()]
+    rows += [
+        (f"time per tick, {part}", f"{us:.0f} us") for part, us in results["us_per_tick"].items()
+    ]
     rows += [
         (
-            f"learning on the {world}: ember, of plain",
+            f"learning on the {world}: ember / plain",
             f"{cost['ember_of_plain']:.0%} ({cost['ember_us']:.0f} against "
-            f"{cost['plain_us']:.0f} us of CPU a tick)",
+            f"{cost['plain_us']:.0f} us of CPU per tick)",
         )
-        for world, cost in found["learning"].items()
+        for world, cost in results["learning"].items()
     ]
-    rows.append((f"{found['training_cycles']} training cycles", f"{found['training_s']:.1f} s"))
+    rows.append((f"{results['training_cycles']} training cycles", f"{results['training_s']:.1f} s"))
     rows += [
         (f"shared table, {when.replace('_', ' ')}", f"{size / 1e6:.2f} MB")
-        for when, size in found["table"].items()
+        for when, size in results["table"].items()
     ]
     return rows
 
 
-def page(found: dict[str, Any], command: str) -> str:
-    """Return what was measured as a Markdown page."""
+def page(results: dict[str, Any], command: str) -> str:
+    """Return the results as a Markdown page."""
     head = [
-        "# What a tick costs",
+        "# Time of a tick",
         "",
-        f"Made by `{command}`: one walk of {found['cycles']} cycles with a trained table, still "
-        f"learning ({found['falls']} falls), run in all ways in turn, {found['repeats']} turns; "
-        "medians, and ratios within one turn. Loop and graph are compared as `ember` runs them, "
-        "with their record. Versions: "
-        + ", ".join(f"{name} {number}" for name, number in found["versions"].items())
-        + f". On {found['provenance']['cpu']}, {found['provenance']['date']}.",
+        f"Made by `{command}`: one walk of {results['cycles']} cycles with a trained table, still "
+        f"learning ({results['falls']} falls), run in each mode in turn, {results['repeats']} "
+        "times; medians, and ratios within one repeat. Loop and graph are compared as `ember` runs "
+        "them, with the statistics of each cycle. Versions: "
+        + ", ".join(f"{name} {number}" for name, number in results["versions"].items())
+        + f". On {results['provenance']['cpu']}, {results['provenance']['date']}.",
         "",
-        "| what | figure |",
+        "| measurement | value |",
         "|---|---|",
     ]
-    return "\n".join([*head, *(f"| {name} | {figure} |" for name, figure in lines(found))]) + "\n"
+    return "\n".join([*head, *(f"| {name} | {value} |" for name, value in lines(results))]) + "\n"
 
 
-def write(found: dict[str, Any], out: Path, command: str) -> list[str]:
-    """Write the page and the numbers into a folder, and return the names of the files."""
+def write(results: dict[str, Any], out: Path, command: str) -> list[str]:
+    """Write the results as Markdown and JSON into a folder; return the file names."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / "bench.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-    (out / "bench.md").write_text(page(found, command), encoding="utf-8")
+    (out / "bench.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    (out / "bench.md").write_text(page(results, command), encoding="utf-8")
     return ["bench.md", "bench.json"]

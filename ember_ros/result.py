@@ -1,4 +1,4 @@
-"""What came of a run, for whoever looks into it: a run, a saved run, and a Q-table with names."""
+"""Results for analysis in Python: a run, a saved run, and a Q-table with named axes."""
 
 from __future__ import annotations
 
@@ -30,84 +30,83 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class QTable:
-    """A Q-table with one axis for each that the discretizer has, and one for actions.
+    """A Q-table with the axes of the discretizer, followed by an axis for the actions.
 
-    A learner that keeps several tables, such as double Q-learning, has them along a first axis
-    ``table``.
+    If the learner keeps several tables, as double Q-learning does, the first axis is ``table``.
     """
 
     q: Floats
     """Values, ``(*shape of the discretizer, actions)``, float64, read-only."""
     visits: Ints
-    """Updates of each cell so far, of the same shape, int64, read-only."""
+    """Number of updates of each cell, same shape as ``q``, int64, read-only."""
     params: Params
-    """With which it was learnt: they give the cells their meaning."""
+    """The parameters that it was learnt with; they define the meaning of the cells."""
     axes: tuple[str, ...] = field(init=False)
-    """Names of the axes of ``q``: those of the discretizer (``axis_0`` and so on where it gives
-    none), and ``action``."""
+    """Names of the axes of ``q``: those of the discretizer (``axis_0`` and so on if it has no
+    ``names``), and ``action``."""
 
     def __post_init__(self) -> None:
-        axes, shape = _cells_of(self.params)
+        axes, shape = _axes_and_shape(self.params)
         object.__setattr__(self, "axes", axes)
         for name, kind in (("q", np.float64), ("visits", np.int64)):
-            given = np.array(getattr(self, name), order="C")
-            if given.shape != shape or given.dtype != kind:
+            array = np.array(getattr(self, name), order="C")
+            if array.shape != shape or array.dtype != kind:
                 raise TableError(
-                    f"{name} is {given.dtype} {given.shape}; these parameters need "
+                    f"{name} is {array.dtype} {array.shape}; these parameters need "
                     f"{np.dtype(kind)} {shape}"
                 )
-            given.flags.writeable = False
-            object.__setattr__(self, name, given)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
         if not np.isfinite(self.q).all() or (self.visits < 0).any():
             raise TableError("q holds values that are not finite, or visits numbers under 0")
 
     @classmethod
     def of(cls, table: Table, params: Params) -> QTable:
-        """Return a table of the learner with names.
+        """Return a learner's table as a ``QTable``.
 
         Args:
-            table: its cells, which are copied.
-            params: with which it was learnt.
+            table: the learner's table; its cells are copied.
+            params: the parameters that it was learnt with.
 
         Raises:
-            TableError: it has another size than the parameters ask for.
+            TableError: its size is not that of the parameters.
         """
-        _, shape = _cells_of(params)
+        _, shape = _axes_and_shape(params)
         if math.prod(shape) != len(table):
             raise TableError(f"a table of {len(table)} cells; {shape} would be right")
         return cls(table.values.reshape(shape), table.visits.reshape(shape), params)
 
     @classmethod
     def load(cls, file: str | Path) -> QTable:
-        """Read a table's file, with the parameters that it was learnt with.
+        """Read a table file and the parameters that the table was learnt with.
 
         Raises:
             TableError: the file is missing, is no table, or is of another version.
-            ParameterError: a part that gives its cells their meaning cannot be found here.
+            ParameterError: a part that defines the meaning of the cells cannot be imported.
         """
         params = params_of(Path(file), load_about(Path(file)))
         return cls.of(load_table(Path(file), params)[0], params)
 
     @property
     def best_action(self) -> Ints:
-        """Return the action of the largest value of each state, the first of equal ones.
+        """Return the index of the action with the largest value in each state.
 
-        Of the discretizer's shape; -1 in states that were never visited. The values of several
-        tables are added. As the values stand: a learner that reads a table smoothed, as the default
-        does, may choose otherwise.
+        Of several equal ones the first; -1 in states that were never visited. The values of several
+        tables are added. The values are not smoothed: with a value estimate that smooths the table,
+        as the default does, a policy may choose another action.
         """
-        several = self.axes[0] == "table"
-        q, visits = (self.q.sum(0), self.visits.sum(0)) if several else (self.q, self.visits)
+        has_tables = self.axes[0] == "table"
+        q, visits = (self.q.sum(0), self.visits.sum(0)) if has_tables else (self.q, self.visits)
         best: Ints = np.where(visits.sum(-1) > 0, q.argmax(-1), -1)
         return best
 
     @property
     def sha256(self) -> str:
-        """Return the SHA-256 of size, values and visits, as ``ember`` prints it."""
+        """Return the SHA-256 of size, values and visits, the one that ``ember`` prints."""
         return self.cells().sha256()
 
     def cells(self) -> Table:
-        """Return a copy as a learner has it."""
+        """Return a copy as a ``Table`` for a learner."""
         actions = self.q.shape[-1]
         table = Table(self.q.size // actions, actions)
         table.values[:] = self.q.reshape(-1)
@@ -115,19 +114,19 @@ class QTable:
         return table
 
     def __repr__(self) -> str:
-        """Return the size by names of axes, and how much of it is known."""
+        """Return the named axes with their lengths, and how many cells were visited."""
         size = " x ".join(f"{n} {name}" for name, n in zip(self.axes, self.q.shape, strict=True))
-        known = np.count_nonzero(self.visits)
+        visited = np.count_nonzero(self.visits)
         return (
-            f"QTable of {size}: {known} of {self.q.size} cells visited, {self.visits.sum()} times"
+            f"QTable of {size}: {visited} of {self.q.size} cells visited, {self.visits.sum()} times"
         )
 
 
-def _cells_of(params: Params) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Return names and lengths of the axes of a Q-table.
+def _axes_and_shape(params: Params) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Return the names of the axes of a Q-table, and its shape.
 
     Raises:
-        TableError: the discretizer names fewer or more axes than it has.
+        TableError: the discretizer has another number of names than of axes.
         ParameterError: a part cannot be used.
     """
     discretizer, cells = make_discretizer(params), empty_table(params)
@@ -145,43 +144,44 @@ def _cells_of(params: Params) -> tuple[tuple[str, ...], tuple[int, ...]]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SavedRun:
-    """What is kept of a run in its folder; ``load`` reads one."""
+    """A run as saved in its folder; ``load`` reads it."""
 
     config: RunConfig
-    """What was run: world, cycles, seed, params, policy."""
+    """The configuration of the run: world, cycles, seed, params, policy."""
     record: RunRecord
-    """Lines a cycle, pose by tick, summary."""
+    """The statistics per cycle, the pose per tick, and the summary."""
     table: QTable
-    """What was learnt in the end."""
+    """The Q-table at the end."""
 
     @property
     def params(self) -> Params:
-        """Return all parameters, with the parts that were named."""
+        """Return all parameters, including the names of the parts."""
         return self.config.params
 
     @property
     def legs(self) -> tuple[str, ...]:
-        """Return the names of the legs, in the order of all columns."""
+        """Return the names of the legs, in the order of the array columns."""
         return self.config.legs
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Return what the recorder made of the run, plain numbers by name.
+        """Return the statistics of the run as plain values by name.
 
-        Cycles, falls, distance, reward by term at first and in the end, hashes of all signals.
+        Cycles, falls, distance, reward terms of the first and last cycles, hashes of all signals.
         """
         return self.record.measured
 
     @property
     def body(self) -> Pose:
-        """Return where the body was at the start of each tick."""
+        """Return the pose of the body at the start of each tick."""
         return pose_of(self.record)
 
     @property
     def cycles(self) -> DataFrame:
-        """Return a line a cycle and module as a pandas DataFrame: the columns of ``cycles.csv``.
+        """Return the statistics of each cycle as a pandas DataFrame.
 
-        ``module`` is a leg's name or ``body``; what a line does not tell is NaN.
+        One row per cycle and module, with the columns of ``cycles.csv``. ``module`` is the
+        name of a leg, or ``body``; values that a row does not have are NaN.
 
         Raises:
             MissingError: pandas is not installed.
@@ -192,105 +192,106 @@ class SavedRun:
         return pandas.DataFrame(self.record.rows, columns=list(Row._fields))
 
     def plot(self) -> Figure:
-        """Return the picture of the run that ``ember`` draws, a matplotlib Figure.
+        """Return the figure of the run that ``ember`` draws, a matplotlib Figure.
 
-        A notebook shows it where it is a cell's last line; elsewhere ``plot().savefig("run.png")``.
+        A notebook shows it as the last line of a cell; elsewhere use ``plot().savefig("run.png")``.
 
         Raises:
             MissingError: matplotlib is not installed.
-            RunError: there was no whole cycle.
+            RunError: the run has no whole cycle.
         """
         need("matplotlib", why="to draw")
         from ember_ros.report import figures
 
-        what = "trained" if self.config.stage == "train" else "walked"
+        panel = "trained" if self.config.stage == "train" else "walked"
         ticks = self.params.gait.ticks
-        picture = figures.picture(**{what: self.record}, ticks=ticks)
-        if picture is None:
+        figure = figures.picture(**{panel: self.record}, ticks=ticks)
+        if figure is None:
             raise RunError("the run has no whole cycle to draw; one or more would be right")
-        return picture
+        return figure
 
     def __repr__(self) -> str:
-        """Return the main figures in three lines."""
-        config, told = self.config, self.summary
-        first, last = told["first"], told["last"]
-        how = "learning" if config.learning else "not learning"
+        """Return the main results in three lines."""
+        config, summary = self.config, self.summary
+        first, last = summary["first"], summary["last"]
+        learning = "learning" if config.learning else "not learning"
         return "\n".join(
             [
-                f"{type(self).__name__} in {config.world}: {told['cycles']} cycles, legs "
-                f"{len(self.legs)}, seed {config.seed}, policy {config.policy}, {how}",
-                f"  {_told(last['distance_per_cycle_m'])} m a cycle at the end (first "
-                f"{_told(first['distance_per_cycle_m'])}), reward a tick {_told(last['reward'])} "
-                f"(first {_told(first['reward'])}), {told['falls']} falls",
+                f"{type(self).__name__} in {config.world}: {summary['cycles']} cycles, legs "
+                f"{len(self.legs)}, seed {config.seed}, policy {config.policy}, {learning}",
+                f"  {_format(last['distance_per_cycle_m'])} m per cycle at the end (first "
+                f"{_format(first['distance_per_cycle_m'])}), reward per tick "
+                f"{_format(last['reward'])} (first {_format(first['reward'])}), "
+                f"{summary['falls']} falls",
                 f"  SHA-256 of table {self.table.sha256[:12]}, senses "
-                f"{told['senses_sha256'][:12]}, parameters {params_sha256(config.params)[:12]}",
+                f"{summary['senses_sha256'][:12]}, parameters {params_sha256(config.params)[:12]}",
             ]
         )
 
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Say why what happened by the tick is not there."""
-            why = (
-                "a saved run keeps only the pose of the body by the tick; the Run that train() or "
-                "walk() returned has the rest, and so has a bag (`ember walk --bag`)"
+            """Raise an AttributeError that explains why the signals of the ticks are missing."""
+            reason = (
+                "a saved run has only the pose of the body for each tick; the Run that train() or "
+                "walk() returned has all signals, and so has a bag (`ember walk --bag`)"
             )
-            own = f"{type(self).__name__!r} object has no attribute {name!r}"
-            raise AttributeError(f"{own}: {why}" if name in _BY_TICK else own)
+            message = f"{type(self).__name__!r} object has no attribute {name!r}"
+            raise AttributeError(f"{message}: {reason}" if name in _ONLY_IN_RUN else message)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(SavedRun):
-    """What came of a run of the direct loop, with everything that happened by the tick.
+    """A run of the direct loop, with all signals of all ticks.
 
-    Row ``t`` of every array is about tick ``t``; columns are the legs in the order of ``legs``.
+    Row ``t`` of each array belongs to tick ``t``; columns are the legs in the order of ``legs``.
     """
 
     ticks: Ticks
-    """Everything by the tick; the properties below are its fields."""
+    """The signals of all ticks; the properties below are its fields."""
     provenance: dict[str, str]
-    """Where and when it was run."""
+    """Date, machine and commit of the run."""
     start_sha256: str | None
-    """Of the table that it started from; None of an empty one."""
+    """SHA-256 of the table at the start; None if it was empty."""
 
     @property
     def senses(self) -> Senses:
-        """Return what each leg sensed: ``senses.hip`` and so on, each ``(ticks, legs)``."""
+        """Return the sensor readings: ``senses.hip`` and so on, each ``(ticks, legs)``."""
         return self.ticks.senses
 
     @property
     def commands(self) -> Commands:
-        """Return what was asked of the motors: ``commands.hip_speed``, each ``(ticks, legs)``."""
+        """Return the motor commands: ``commands.hip_speed`` and so on, each ``(ticks, legs)``."""
         return self.ticks.commands
 
     @property
     def rewards(self) -> Mapping[str, Floats]:
-        """Return the reward by term, ``(ticks, legs)`` each, 0 where nothing was credited."""
+        """Return the reward terms by name, ``(ticks, legs)`` each, 0 where not ``credited``."""
         return self.ticks.rewards
 
     @property
     def reward(self) -> Floats:
-        """Return the sum of all terms, ``(ticks, legs)``."""
+        """Return the reward, the sum of its terms, ``(ticks, legs)``."""
         return self.ticks.reward
 
     @property
     def credited(self) -> Bools:
-        """Return which ticks were rewarded, ``(ticks, legs)``: all but the last and falls."""
+        """Return whether a tick was rewarded, ``(ticks, legs)``: all but the last one and falls."""
         return self.ticks.credited
 
     @property
     def states(self) -> Ints:
-        """Return the states, indices as the discretizer gives them, ``(ticks, legs)``."""
+        """Return the indices of the discretized states, ``(ticks, legs)``."""
         return self.ticks.states
 
     @property
     def actions(self) -> Ints:
-        """Return the actions, positions in ``params.leg.knee_speeds``, ``(ticks, legs)``."""
+        """Return the actions, indices into ``params.leg.knee_speeds``, ``(ticks, legs)``."""
         return self.ticks.actions
 
     @property
     def stances(self) -> Bools:
-        """Return which ticks are of stance, ``(ticks, legs)``."""
+        """Return whether a tick is in stance, ``(ticks, legs)``."""
         return self.ticks.stances
 
     @property
@@ -305,20 +306,20 @@ class Run(SavedRun):
 
     @property
     def body(self) -> Body:
-        """Return where the body was at the start of each tick, each ``(ticks,)``."""
+        """Return the ground truth of the body at the start of each tick, each ``(ticks,)``."""
         return self.ticks.body
 
     def save(self, folder: str | Path, *, replace: bool = False) -> None:
-        """Write the files that ``ember train`` leaves: table, cycles, traces and summary.
+        """Write the files that ``ember train`` writes: table, cycles, traces and summary.
 
-        What happened by the tick is not among them, but for the pose of the body.
+        Of the signals of the ticks, they contain only the pose of the body.
 
         Args:
-            folder: made if need be.
-            replace: whether an earlier run in it may be replaced.
+            folder: where to write; created if it does not exist.
+            replace: whether an earlier run in the folder may be replaced.
 
         Raises:
-            EmberError: it cannot be written, or holds an earlier run.
+            EmberError: the folder cannot be written to, or contains an earlier run.
         """
         save_run(
             self.config,
@@ -332,30 +333,30 @@ class Run(SavedRun):
         )
 
 
-_BY_TICK = {"save", "ticks", *(each.name for each in dataclasses.fields(Ticks))}
-"""What a run has that a saved one has not."""
+_ONLY_IN_RUN = {"save", "ticks", *(each.name for each in dataclasses.fields(Ticks))}
+"""Attributes of ``Run`` that ``SavedRun`` does not have."""
 
 
 def load(folder: str | Path) -> SavedRun:
-    """Read what is kept of a finished run, of ``ember`` or of ``Run.save``.
+    """Load a finished run that ``ember`` or ``Run.save`` has written.
 
     Args:
-        folder: in which it left ``table.npz``, ``cycles.csv``, ``traces.npy``, ``summary.json``.
+        folder: contains ``table.npz``, ``cycles.csv``, ``traces.npy`` and ``summary.json``.
 
     Raises:
-        RunError: the folder holds no finished run.
+        RunError: the folder contains no finished run.
         TableError: its table cannot be read.
-        ParameterError: a part or world that it names cannot be found here.
+        ParameterError: its world, or one of its parts, cannot be imported.
     """
     folder = Path(folder)
     try:
         record = load_record(folder)
-        told = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-        start = told["start_table"]
-        known = {
-            name: told[name] for name in ("world", "seed", "policy", "learning", "start_cycle")
+        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        start = summary["start_table"]
+        options = {
+            name: summary[name] for name in ("world", "seed", "policy", "learning", "start_cycle")
         }
-        cycles = told["planned_cycles"]
+        cycles = summary["planned_cycles"]
     except OSError as error:
         raise RunError(
             f"{folder} holds no finished run: {error.filename}: {error.strerror}; a folder that "
@@ -365,10 +366,10 @@ def load(folder: str | Path) -> SavedRun:
         raise RunError(f"{folder} holds a run that cannot be read: {error}") from error
     table = QTable.load(folder / TABLE)
     config = RunConfig(
-        cycles=cycles, params=table.params, table=Path(start) if start else None, **known
+        cycles=cycles, params=table.params, table=Path(start) if start else None, **options
     )
     return SavedRun(config, record, table)
 
 
-def _told(value: float | None) -> str:
+def _format(value: float | None) -> str:
     return "-" if value is None else f"{value:.3f}"

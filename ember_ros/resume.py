@@ -1,4 +1,4 @@
-"""Where a run that starts from a table continues, and which parameters differ from the table's."""
+"""Where a run that starts from a table continues, and the lines to print about it."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from leg_node.table_file import describe_differences, load_about, load_table, pa
 
 
 def resume_point(run: Path, world: str) -> tuple[int, Params]:
-    """Return the number of cycles that a run has done, and its parameters.
+    """Return the number of cycles at the end of a run, and its parameters.
 
     Args:
-        run: its folder.
+        run: the folder of the run.
         world: the world in which it continues.
 
     Raises:
@@ -28,12 +28,13 @@ def resume_point(run: Path, world: str) -> tuple[int, Params]:
     about = load_about(run / TABLE)
     try:
         summary = json.loads((run / SUMMARY).read_text(encoding="utf-8"))
-        own_world, cycle = summary["world"], summary["start_cycle"] + summary["cycles"]
-    except (OSError, ValueError, KeyError, TypeError):  # killed, or of an older version
-        own_world, cycle = world, about.get("cycle")
-    if own_world != world:
+        run_world, cycle = summary["world"], summary["start_cycle"] + summary["cycles"]
+    # The run was killed before it wrote a summary, or an older version wrote it.
+    except (OSError, ValueError, KeyError, TypeError):
+        run_world, cycle = world, about.get("cycle")
+    if run_world != world:
         raise ParameterError(
-            f"{run} is a run of the {own_world}; --table {run / TABLE} starts from its table"
+            f"{run} is a run of the {run_world}; --table {run / TABLE} starts from its table"
         )
     if not isinstance(cycle, int) or isinstance(cycle, bool):
         raise ParameterError(
@@ -56,12 +57,12 @@ def start_messages(config: RunConfig) -> list[str]:
     differences = describe_differences(config.table, about, config.params)
     if differences is not None:
         lines.append(differences)
-    numbers = numbers_of(config.params, config.stage)
-    epsilon = epsilon_at(numbers, config.start_cycle)
+    learning_params = numbers_of(config.params, config.stage)
+    epsilon = epsilon_at(learning_params, config.start_cycle)
     share = f"{100 * epsilon:.3g} %"
     if config.start_cycle:
         lines.append(f"continuing from cycle {config.start_cycle}, exploring {share} at first")
-    elif config.policy == "learned" and epsilon > numbers.epsilon_end:
+    elif config.policy == "learned" and epsilon > learning_params.epsilon_end:
         lines.append(
             f"starting from {config.table} at cycle 0: {share} of the actions are random at "
             "first, which may undo what was learnt; --resume RUN continues a run"

@@ -1,6 +1,6 @@
-"""Finds the trained table and the recorded walk that come with the package, by name. Pure.
+"""Finds by name the trained table and the bag that come with the package. Pure.
 
-They are in ``bags/`` of the repository; an installation has that folder as ``ember_ros/data``.
+Both are in the folder ``bags/`` of the repository, which is installed as ``ember_ros/data``.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ TABLE, BAG = "trained", "walk"
 def shipped_table(file: Path) -> Path:
     """Return the path of the table that comes with the package if ``file`` is its name.
 
-    An existing file of that name wins, as with parameter files. Any other path is returned as it
-    is.
+    An existing file of that name has precedence, as with parameter files. Any other path is
+    returned unchanged.
     """
     return DATA / f"{TABLE}.npz" if str(file) == TABLE and not file.is_file() else file
 
@@ -26,6 +26,6 @@ def shipped_table(file: Path) -> Path:
 def shipped_bag(path: Path) -> Path:
     """Return the path of the bag that comes with the package if ``path`` is its name.
 
-    An existing file or folder of that name wins. Any other path is returned as it is.
+    An existing file or folder of that name has precedence. Any other path is returned unchanged.
     """
     return DATA / BAG if str(path) == BAG and not path.exists() else path

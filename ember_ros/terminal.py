@@ -1,4 +1,4 @@
-"""Terminal output of ``ember``: consoles that survive a closed terminal, tables and progress."""
+"""Terminal output of ``ember``: consoles that tolerate a closed terminal, tables and progress."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ LINE_PERIOD_S = 10.0
 """Wall time between two lines of progress if there is no terminal, s."""
 
 WIDE = 1000
-"""Columns if there is no terminal."""
+"""Number of columns if there is no terminal."""
 
 Update = Callable[[float, str], None]
-"""Called with the amount that is done and a text that describes it."""
+"""Function to call with the amount that is done and a text that describes it."""
 
 
 class _TolerantFile:
-    """A file that drops what is written to a closed terminal or a closed pipe."""
+    """A file that ignores errors of writing to a closed terminal or a closed pipe."""
 
     def __init__(self, file: IO[str]) -> None:
         self._file = file
@@ -37,15 +37,15 @@ class _TolerantFile:
         return getattr(self._file, name)
 
     def write(self, text: str) -> None:
-        with self._dropping():
+        with self._ignoring_closed():
             self._file.write(text)
 
     def flush(self) -> None:
-        with self._dropping():
+        with self._ignoring_closed():
             self._file.flush()
 
     @contextmanager
-    def _dropping(self) -> Iterator[None]:
+    def _ignoring_closed(self) -> Iterator[None]:
         try:
             yield
         except BrokenPipeError:  # the reader, such as `| head`, has ended; the run continues
@@ -62,7 +62,7 @@ class Terminal(Console):
 
     @property
     def size(self) -> ConsoleDimensions:
-        """Return columns and lines; without a terminal, lines are so wide that none is wrapped."""
+        """Return columns and lines; without a terminal, so many columns that no line is wrapped."""
         if self.is_terminal:
             return super().size
         return ConsoleDimensions(WIDE, super().size.height)
@@ -73,7 +73,7 @@ class Terminal(Console):
 
     @property
     def file(self) -> IO[str]:
-        """Return the file that it writes to."""
+        """Return the file that the console writes to."""
         return _TolerantFile(super().file)  # type: ignore[return-value]
 
     @file.setter

@@ -1,4 +1,4 @@
-"""The versions that a run's bits depend on, and the provenance, which they do not. Pure."""
+"""Versions, which the bits of a run depend on, and provenance, which they do not. Pure."""
 
 from __future__ import annotations
 
@@ -25,27 +25,28 @@ def version() -> str:
 
 def versions() -> dict[str, str]:
     """Return the versions of this package, Python and the libraries that a run's bits depend on."""
-    numbers = {"ember_ros": version(), "python": platform.python_version()}
+    found = {"ember_ros": version(), "python": platform.python_version()}
     for name in ("numpy", "pybullet", "rclpy"):
         try:
-            numbers[name] = importlib.metadata.version(name)
+            found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            numbers[name] = "not installed"
-    return numbers
+            found[name] = "not installed"
+    return found
 
 
 def provenance() -> dict[str, str]:
-    """Return when and where the run takes place, for human readers.
+    """Return date, machine and commit of the present run, for human readers.
 
-    Nothing that names or compares runs uses it: the same run gives the same bits, and the same MCAP
-    file, at any time and on any machine.
+    No name, hash or comparison of runs uses it, so that the same run gives the same bits, and the
+    same MCAP file, at any time and on any machine.
     """
     now = datetime.datetime.now(datetime.timezone.utc)
-    return {"date": now.isoformat(timespec="seconds"), **_here()}
+    return {"date": now.isoformat(timespec="seconds"), **_machine()}
 
 
 @functools.cache
-def _here() -> dict[str, str]:
+def _machine() -> dict[str, str]:
+    """Return system, CPU, SIMD extensions, BLAS library and commit."""
     import numpy as np
 
     build: dict[str, Any] = np.show_config(mode="dicts")  # type: ignore[assignment]
@@ -73,10 +74,10 @@ def _cpu() -> str:
 
 
 def _commit(file: Path) -> str:
-    """Return the commit of the checkout that holds a file, and whether the checkout was changed.
+    """Return the commit of the git checkout that a file belongs to, and whether it was changed.
 
-    ``unknown`` without git, and for an installed package: a checkout around it belongs to another
-    project.
+    ``unknown`` without git, and for an installed package, whose folder may be inside a checkout of
+    another project.
     """
     # A git hook that started this process may have set GIT_DIR to another repository.
     environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}

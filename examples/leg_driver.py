@@ -1,14 +1,14 @@
-"""A real leg in the place of the trainer: a driver, with pretended hardware inside.
+"""A real leg instead of the trainer: a world with a hardware driver, here with mock hardware.
 
-The sim_node publishes the senses of all legs of a world, so today a real leg replaces the whole
-world and not one of four simulated legs. This is that world: it holds the leg's driver, and the
-sim_node around it does the rest as it does for Bullet: it publishes <leg>/joint_states,
-<leg>/contact and clock, hears <leg>/command and the phase, waits for all of a tick (lockstep), and
-records bags. The other nodes do not notice. Runs for some seconds, and needs ROS 2:
+The sim_node publishes the senses of all legs of a world, so a real leg replaces the whole world,
+not one of four simulated legs. This world contains the driver of the leg. The sim_node does the
+same as with Bullet: it publishes <leg>/joint_states, <leg>/contact and clock, subscribes to
+<leg>/command and the phase, waits for all messages of a tick (lockstep), and records bags. The
+other nodes need no change. Takes some seconds, and needs ROS 2:
 
     python examples/leg_driver.py --cycles 50
 
-As a node of its own, beside the others of `ember walk`'s graph:
+As a separate node, with the other nodes of the graph of `ember walk`:
 
     PYTHONPATH=examples ros2 run ember_ros sim_node --ros-args -p world:=leg_driver.HardwareLeg
 """
@@ -25,27 +25,28 @@ from sim_node.fake import FakeWorld
 
 
 class Driver(Protocol):
-    """What the driver of a real leg has to do: put your bus, encoders and sensors behind it."""
+    """Interface of the driver of a real leg; implement it for your bus, encoders and sensors."""
 
     def read(self, tick: int) -> LegSense:
-        """Return what the leg senses now; force and slip are of the tick that just ended.
+        """Return the present senses; force and slip are those of the tick that just ended.
 
-        Encoders give joint angles and speeds, a load cell in the foot the force, an accelerometer
-        on the shank the inclination, and whatever you have the slip and the hair.
+        Typical sensors: encoders for joint angles and speeds, a load cell in the foot for the
+        force, an accelerometer on the shank for the inclination; slip and hair depend on the
+        hardware.
         """
         ...
 
     def drive(self, command: LegCommand | None) -> None:
-        """Drive the motors so for one tick and return when it is over; None: hold still."""
+        """Apply a command for one tick and return at its end; None: hold the joints still."""
         ...
 
     def home(self) -> None:
-        """Bring the leg to where a run begins, by motor or by hand."""
+        """Move the leg to its start position, by motor or by hand."""
         ...
 
 
-class Pretended:
-    """Hardware that is none: joints follow at once, and time takes no time."""
+class MockDriver:
+    """A driver without hardware: joints follow at once, and a tick takes no wall time."""
 
     def __init__(self, params: Params) -> None:
         self._leg = FakeWorld([TRAINER_LEG], params)
@@ -62,22 +63,22 @@ class Pretended:
 
 
 class HardwareLeg:
-    """The trainer with a real leg: what ``ember_ros.worlds.World`` asks for."""
+    """The trainer with a real leg; implements ``ember_ros.worlds.World``."""
 
     stage = "train"
     legs: tuple[str, ...] = (TRAINER_LEG,)
     over = False
-    work = 0.0  # no meter measures what the motors did
+    work = 0.0  # the mechanical work of the motors is not measured
 
     @staticmethod
     def legs_of(params: Params) -> tuple[str, ...]:
-        """Return the names of the legs, before the world is made."""
+        """Return the names of the legs, before the world is created."""
         return (TRAINER_LEG,)
 
     def __init__(self, params: Params, *, seed: int = 0, gui: bool = False) -> None:
-        """Connect; nothing of a real leg hangs on the seed, and there is no window."""
+        """Connect to the leg; ``seed`` and ``gui`` have no effect."""
         self._height = params.leg.operating_height
-        self._driver: Driver = Pretended(params)
+        self._driver: Driver = MockDriver(params)
         self.reset()
 
     def reset(self) -> None:
@@ -94,15 +95,15 @@ class HardwareLeg:
         self._sense = self._driver.read(self._tick)
 
     def body(self) -> BodyState:
-        """Return a body that nobody tracks; an axle encoder would tell ``x``."""
+        """Return a constant pose; an encoder at the axle could measure ``x``."""
         return BodyState(0.0, 0.0, self._height, 0.0, 0.0, 0.0, 0)
 
     def close(self) -> None:
-        """Let go of the bus: the pretended one has none."""
+        """Close the connection to the hardware; the mock has none."""
 
 
 def main() -> None:
-    """Let the leg learn for some cycles, on a graph of nodes."""
+    """Let the leg learn for some cycles on a graph of nodes."""
     from ember_ros.graph import Graph
     from ember_ros.run_config import RunConfig
 

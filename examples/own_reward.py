@@ -1,11 +1,11 @@
 """A reward of your own, named by its dotted path.
 
-A leg is paid as in the paper, and less the faster its knee moves. Its terms are in
-summary.json, bags and the leg's transitions, like all others. Runs for half a minute:
+The reward of the paper, minus a term for the speed of the knee. Its terms are in summary.json, in
+bags and in the transitions of the leg, like those of the default reward. Takes half a minute:
 
     PYTHONPATH=examples ember train --set parts.reward=own_reward.Mine --out out/mine
 
-As nodes: the same PYTHONPATH, and `-p parts.reward:=own_reward.Mine` for every leg_node and the
+With nodes: the same PYTHONPATH, and `-p parts.reward:=own_reward.Mine` for every leg_node and the
 table_node.
 """
 
@@ -15,11 +15,11 @@ from ember_ros.signals import LegSense
 from leg_node.reward import PaperReward
 
 CALM = -0.005
-"""Weight of the knee's speed, 1/(rad/s)."""
+"""Weight of the absolute speed of the knee, 1/(rad/s)."""
 
 
 class Mine(PaperReward):
-    """The paper's reward, and a term for a calm knee."""
+    """The paper's reward, and a term that penalizes knee speed."""
 
     names = (*PaperReward.names, "calm")
 

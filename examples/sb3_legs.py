@@ -1,7 +1,7 @@
-"""Legs for Stable-Baselines3: one policy, learnt by all legs of a robot at once.
+"""Legs for Stable-Baselines3: all legs of a robot learn one policy together.
 
-To SB3 each leg is one of many environments, which is parameter sharing: one network, and for each
-leg its own observation and reward. Not run by itself; sb3_trainer.py and ppo_against_q.py use it:
+Each leg is one environment of an SB3 vector environment. This is parameter sharing: one network,
+but an observation and a reward for each leg. A module for sb3_trainer.py and ppo_against_q.py:
 
     PPO("MlpPolicy", Legs("walker")).learn(100_000)
 """
@@ -19,30 +19,32 @@ from ember_ros.envs import WalkerEnv
 
 
 class Legs(VecEnv):  # type: ignore[misc]
-    """Legs as Stable-Baselines3 sees many environments: each leg is one, all learn one policy."""
+    """A vector environment of Stable-Baselines3 in which each leg is one environment."""
 
     def __init__(self, world: str, seed: int = 0) -> None:
-        self.env, self.start = WalkerEnv(world=world, max_cycles=10**9), seed
+        self.env, self.start_seed = WalkerEnv(world=world, max_cycles=10**9), seed
         self.legs = self.env.possible_agents
-        leg, of = self.legs[0], self.env
-        super().__init__(len(self.legs), of.observation_space(leg), of.action_space(leg))
+        leg = self.legs[0]
+        super().__init__(
+            len(self.legs), self.env.observation_space(leg), self.env.action_space(leg)
+        )
 
     def reset(self) -> Any:
-        seen, _ = self.env.reset(seed=self.start)
-        return np.stack([seen[leg] for leg in self.legs])
+        observations, _ = self.env.reset(seed=self.start_seed)
+        return np.stack([observations[leg] for leg in self.legs])
 
     def step_async(self, actions: Any) -> None:
         self.actions = dict(zip(self.legs, actions, strict=True))
 
     def step_wait(self) -> Any:
-        seen, rewards, _, _, infos = self.env.step(self.actions)
-        told = [infos[leg] for leg in self.legs]
-        # Nothing is learnt across a fall: it ends what SB3 calls an episode, but the robot goes on.
-        ends = np.array([info["first_tick"] for info in told])
-        observations = np.stack([seen[leg] for leg in self.legs])
-        for info, observation in zip(told, observations, strict=True):
+        by_leg, rewards, _, _, infos = self.env.step(self.actions)
+        info_list = [infos[leg] for leg in self.legs]
+        # For SB3 a fall ends an episode, so that no value is estimated across it.
+        dones = np.array([info["first_tick"] for info in info_list])
+        observations = np.stack([by_leg[leg] for leg in self.legs])
+        for info, observation in zip(info_list, observations, strict=True):
             info["terminal_observation"] = observation
-        return observations, np.array([rewards[leg] for leg in self.legs]), ends, told
+        return observations, np.array([rewards[leg] for leg in self.legs]), dones, info_list
 
     def close(self) -> None:
         self.env.close()
@@ -60,28 +62,29 @@ class Legs(VecEnv):  # type: ignore[misc]
         return [False] * self.num_envs
 
 
-class Walked(NamedTuple):
-    """What came of a walk, its first quarter left out but for falls."""
+class WalkResult(NamedTuple):
+    """The result of a walk; means are without its first quarter."""
 
     m: float
-    """Ahead, a stride."""
+    """Mean forward distance per stride, m."""
     reward: float
-    """A tick, mean over legs."""
+    """Mean reward per tick and leg."""
     falls: int
+    """Falls of the whole walk."""
 
 
-def walk(model: PPO, norm: VecNormalize, world: str, strides: int) -> Walked:
-    """Let the policy as it is walk by its best actions."""
+def walk(model: PPO, norm: VecNormalize, world: str, strides: int) -> WalkResult:
+    """Evaluate a policy with its best actions, without learning."""
     legs = Legs(world)
-    seen, ways, rewards = legs.reset(), [], []
+    observations, distances, rewards = legs.reset(), [], []
     for _ in range(strides):
-        begin = legs.env.body
+        start = legs.env.body
         for _ in range(legs.env.params.gait.ticks):
-            actions, _ = model.predict(norm.normalize_obs(seen), deterministic=True)
-            seen, reward, *_ = legs.step(actions)
+            actions, _ = model.predict(norm.normalize_obs(observations), deterministic=True)
+            observations, reward, *_ = legs.step(actions)
             rewards.append(reward.mean())
-        end, yaw = legs.env.body, begin.yaw
-        ways.append((end.x - begin.x) * math.cos(yaw) + (end.y - begin.y) * math.sin(yaw))
+        end, yaw = legs.env.body, start.yaw
+        distances.append((end.x - start.x) * math.cos(yaw) + (end.y - start.y) * math.sin(yaw))
     legs.close()
-    late, late_ticks = ways[strides // 4 :], rewards[len(rewards) // 4 :]
-    return Walked(float(np.mean(late)), float(np.mean(late_ticks)), end.falls)
+    late_distances, late_rewards = distances[strides // 4 :], rewards[len(rewards) // 4 :]
+    return WalkResult(float(np.mean(late_distances)), float(np.mean(late_rewards)), end.falls)

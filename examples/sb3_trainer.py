@@ -1,10 +1,10 @@
-"""PPO of Stable-Baselines3 on the trainer's leg, then four copies of it on the body.
+"""PPO of Stable-Baselines3 on the leg of the trainer, then four copies of it on the walker.
 
-The same senses (as numbers), actions, reward and discount as our Q-learning has. Prints, seed by
-seed, how many strides (cycles of the CPG) and how much time it took until the policy walks as far a
-stride as ours does after `ember train`; then lets four copies carry the body, each leg with its own
-observation, frozen, and then learning on together (one network, four legs: parameter sharing).
-Some minutes a seed; --strides, --walk-strides and --cpu-s end it sooner:
+Senses (as continuous values), actions, reward and discount are those of our Q-learning. Prints for
+each seed how many strides (cycles of the CPG) and how much time PPO needs until the distance per
+stride is that of `ember train`. Then four copies walk, each with the observation of its leg: first
+frozen, then with further common learning (one network for four legs: parameter sharing).
+Some minutes per seed; --strides, --walk-strides and --cpu-s make it shorter:
 
     pip install 'ember_ros[examples]'
     python examples/sb3_trainer.py --seeds 0 1 2 --target 0.43
@@ -25,52 +25,53 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
 
 
-class UntilItWalks(BaseCallback):  # type: ignore[misc]
-    """Lets the policy walk now and then; ends the learning where it walks far enough, or time's up.
+class StopAtTarget(BaseCallback):  # type: ignore[misc]
+    """Evaluates the policy regularly; stops learning at a target distance or a limit of CPU time.
 
-    Of time, only what learning took is counted: wall and CPU, s.
+    Wall and CPU time, s, are those of learning, without the evaluations.
     """
 
     def __init__(self, norm: VecNormalize, world: str, target: float, cpu_s: float) -> None:
         super().__init__()
         self.norm, self.world, self.target, self.cpu_s = norm, world, target, cpu_s
-        self.ticks = norm.num_envs * norm.venv.env.params.gait.ticks  # of a stride, in SB3's count
-        self.reached, self.last = False, -(10**9)
+        # SB3 counts a time step for each environment, here for each leg.
+        self.steps_per_stride = norm.num_envs * norm.venv.env.params.gait.ticks
+        self.reached, self.last_strides = False, -(10**9)
         self.curve: list[dict[str, float]] = []
 
     def _now(self) -> Any:
         return np.array([time.monotonic(), time.process_time()])
 
     def _on_training_start(self) -> None:
-        self.began, self.paused = self._now(), np.zeros(2)
+        self.start, self.paused = self._now(), np.zeros(2)
 
-    def _on_rollout_start(self, least: int = 64) -> None:
-        """Look at the policy as the last update left it, every 64 strides of a leg."""
-        before, strides = self._now(), self.num_timesteps // self.ticks
-        wall, self.cpu = (float(each) for each in before - self.began - self.paused)
-        if strides - self.last >= least:
-            self.last, walked = strides, walk(self.model, self.norm, self.world, 24)
+    def _on_rollout_start(self, min_strides: int = 64) -> None:
+        """Evaluate the present policy if the last evaluation is 64 or more strides ago."""
+        evaluation_start, strides = self._now(), self.num_timesteps // self.steps_per_stride
+        wall, self.cpu = (float(each) for each in evaluation_start - self.start - self.paused)
+        if strides - self.last_strides >= min_strides:
+            self.last_strides, result = strides, walk(self.model, self.norm, self.world, 24)
             self.curve.append(
-                {"strides": strides, "wall_s": wall, "cpu_s": self.cpu, **walked._asdict()}
+                {"strides": strides, "wall_s": wall, "cpu_s": self.cpu, **result._asdict()}
             )
-            print(f"  {self.world}, {strides} strides: {walked.m:.3f} m a stride", flush=True)
-            self.reached = walked.m >= self.target and not walked.falls
-        self.paused += self._now() - before
+            print(f"  {self.world}, {strides} strides: {result.m:.3f} m per stride", flush=True)
+            self.reached = result.m >= self.target and not result.falls
+        self.paused += self._now() - evaluation_start
 
     def _on_step(self) -> bool:
         return not self.reached and self.cpu < self.cpu_s
 
     def _on_training_end(self) -> None:
-        self._on_rollout_start(least=1)
+        self._on_rollout_start(min_strides=1)
 
 
 def learn(
     world: str, strides: int, target: float, seed: int, cpu_s: float, start: Any = None
-) -> tuple[PPO, VecNormalize, UntilItWalks]:
-    """Learn in a world until a target, m a stride, is reached, or strides or CPU time are over.
+) -> tuple[PPO, VecNormalize, StopAtTarget]:
+    """Learn until a target, m per stride, or a limit of strides or CPU time is reached.
 
-    All is as SB3 has it but our discount; 64 strides between two updates, of one leg or of all
-    together. With ``start``, what was learnt before: its policy and its normalization.
+    The hyperparameters are the defaults of SB3, except our discount factor and 64 strides between
+    two updates, summed over legs. ``start`` is a policy and a normalization to continue from.
     """
     torch.set_num_threads(1)
     legs = Legs(world, seed)
@@ -81,38 +82,44 @@ def learn(
     if start is not None:
         model.set_parameters(start[0].get_parameters())
         norm.obs_rms = start[1].obs_rms
-    watch = UntilItWalks(norm, world, target, cpu_s)
-    model.learn(strides * params.gait.ticks * legs.num_envs, callback=watch)
-    watch.falls = legs.env.body.falls  # while it learnt
+    callback = StopAtTarget(norm, world, target, cpu_s)
+    model.learn(strides * params.gait.ticks * legs.num_envs, callback=callback)
+    callback.falls = legs.env.body.falls
     legs.close()
-    return model, norm, watch
+    return model, norm, callback
 
 
 def main() -> None:
     """Run all seeds."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--target", type=float, default=0.43, help="m a stride, of `ember train`")
-    parser.add_argument("--strides", type=int, default=20000, help="at most, on the trainer")
+    parser.add_argument(
+        "--target", type=float, default=0.43, help="m per stride, that of `ember train`"
+    )
+    parser.add_argument("--strides", type=int, default=20000, help="maximum, on the trainer")
     parser.add_argument("--walk-strides", type=int, default=500, help="on the body, learning")
-    parser.add_argument("--cpu-s", type=float, default=900.0, help="at most, on the trainer")
+    parser.add_argument("--cpu-s", type=float, default=900.0, help="maximum, on the trainer")
     args = parser.parse_args()
     for seed in args.seeds:
-        model, norm, watch = learn("trainer", args.strides, args.target, seed, args.cpu_s)
-        best = watch.curve[-1] if watch.reached else max(watch.curve, key=lambda each: each["m"])
-        said = "reached" if watch.reached else f"{args.target} m not reached; at best"
+        model, norm, callback = learn("trainer", args.strides, args.target, seed, args.cpu_s)
+        best = (
+            callback.curve[-1]
+            if callback.reached
+            else max(callback.curve, key=lambda each: each["m"])
+        )
+        outcome = "reached" if callback.reached else f"{args.target} m not reached; at best"
         print(
-            f"seed {seed}, trainer: {said} {best['m']:.3f} m a stride after {best['strides']} "
+            f"seed {seed}, trainer: {outcome} {best['m']:.3f} m per stride after {best['strides']} "
             f"strides, {best['wall_s']:.0f} s, {best['cpu_s']:.0f} s of CPU"
         )
-        walked = walk(model, norm, "walker", 100)
-        print(f"seed {seed}, four frozen copies: {walked.m:.3f} m, {walked.falls} falls in 100")
+        result = walk(model, norm, "walker", 100)
+        print(f"seed {seed}, four frozen copies: {result.m:.3f} m, {result.falls} falls in 100")
         if args.walk_strides:
             body = learn("walker", args.walk_strides, math.inf, seed, math.inf, (model, norm))
             last = body[2].curve[-1]
             print(
-                f"seed {seed}, learning on together: {last['m']:.3f} m a stride after "
-                f"{last['strides']}, {body[2].falls} falls on the way"
+                f"seed {seed}, learning on together: {last['m']:.3f} m per stride after "
+                f"{last['strides']}, {body[2].falls} falls"
             )
 
 

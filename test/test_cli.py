@@ -464,4 +464,4 @@ def test_bench_measures_every_way(run: Run) -> None:
     assert "| seven processes |" in page
     for world in ("trainer", "walker"):
         assert min(found["learning"][world].values()) > 0
-        assert f"| learning on the {world}: ember, of plain |" in page
+        assert f"| learning on the {world}: ember / plain |" in page

@@ -1,4 +1,4 @@
-"""The environments keep to Gymnasium and PettingZoo, and give the loop's senses and rewards."""
+"""The environments follow Gymnasium and PettingZoo, and return the loop's senses and rewards."""
 
 from __future__ import annotations
 
@@ -36,44 +36,44 @@ physics = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is 
 
 
 class Fake(FakeWorld):
-    """The fake world as a registry makes it; all legs fall at ticks 40 and 70."""
+    """The fake world with the constructor of a world; the robot falls at ticks 40 and 70."""
 
     def __init__(self, params: Params, *, seed: int = 0, gui: bool = False) -> None:
         super().__init__(params=params, falls_at=(40, 70))
         self.seed, self.gui, self.closed = seed, gui, False
-        made.append(self)
+        created_worlds.append(self)
 
     def close(self) -> None:
         self.closed = True
 
 
 class OneLeg(Fake):
-    """The same with the trainer's leg."""
+    """The same with only the leg of the trainer."""
 
     def __init__(self, params: Params, *, seed: int = 0, gui: bool = False) -> None:
         FakeWorld.__init__(self, [TRAINER_LEG], params, falls_at=(40, 70))
         self.seed, self.gui, self.closed = seed, gui, False
-        made.append(self)
+        created_worlds.append(self)
 
     @staticmethod
     def legs_of(params: Params) -> Sequence[str]:
         return (TRAINER_LEG,)
 
 
-made: list[Fake] = []
+created_worlds: list[Fake] = []
 
 
 @pytest.fixture(autouse=True)
 def _importable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Let ``fakes.Fake`` be a world's dotted path."""
+    """Make ``fakes.Fake`` a valid dotted path."""
     monkeypatch.setitem(sys.modules, "fakes", sys.modules[__name__])
-    made.clear()
+    created_worlds.clear()
     yield
-    made.clear()
+    created_worlds.clear()
 
 
-class Heard:
-    """Keeps a loop's senses and transitions, tick by tick."""
+class SignalLog:
+    """Observer that keeps the senses and transitions of each tick of a loop."""
 
     def __init__(self) -> None:
         self.senses: list[tuple[LegSense, ...]] = []
@@ -88,38 +88,40 @@ class Heard:
         transitions: Sequence[Transition | None],
     ) -> None:
         self.senses.append(tuple(senses))
-        self.transitions.append(tuple(did for did in transitions if did is not None))
+        self.transitions.append(
+            tuple(transition for transition in transitions if transition is not None)
+        )
 
 
-class Chosen:
-    """A random policy that keeps what it chose: a tick that ends in a fall is told by nobody."""
+class LoggedRandom:
+    """A random policy that logs its actions, also of ticks without a transition (before a fall)."""
 
-    actions: dict[int, list[int]]
-
-    def __init__(self, params: Params, numbers: Any, q_values: Any, rng: Any, start: int) -> None:
-        self._rng, self._most = rng, len(params.leg.knee_speeds)
+    def __init__(
+        self, params: Params, hyperparameters: Any, q_values: Any, rng: Any, start: int
+    ) -> None:
+        self._rng, self._actions = rng, len(params.leg.knee_speeds)
 
     def choose(self, sense: LegSense, gait: Any, state: int) -> int:
-        action = int(self._rng.integers(self._most))
-        chosen.setdefault(sense.tick, []).append(action)
+        action = int(self._rng.integers(self._actions))
+        chosen_actions.setdefault(sense.tick, []).append(action)
         return action
 
 
-chosen: dict[int, list[int]] = {}
+chosen_actions: dict[int, list[int]] = {}
 
 
-def loop_of(config: RunConfig, ticks: int) -> Heard:
-    """Run a loop whose legs act at random; what they chose is in ``chosen``."""
-    chosen.clear()
-    heard, loop = Heard(), Loop(config)
+def loop_of(config: RunConfig, ticks: int) -> SignalLog:
+    """Run a loop with random actions; their actions are in ``chosen_actions``."""
+    chosen_actions.clear()
+    log, loop = SignalLog(), Loop(config)
     for _ in range(ticks):
-        loop.tick(heard)
+        loop.tick(log)
     loop.close()
-    return heard
+    return log
 
 
 def expected(sense: LegSense, stance: bool) -> list[float]:
-    """Return the senses as an observation has them, but for ``ticks_to_stance``."""
+    """Return the expected observation, without ``ticks_to_stance``."""
     values = {**sense._asdict(), "stance": stance}
     return [float(values[name]) for name in LEG_FIELDS[:-1]]
 
@@ -139,74 +141,78 @@ CASES = [
 
 
 @pytest.mark.parametrize(("world", "params", "falls"), CASES)
-def test_the_walker_gives_the_bits_of_the_loop(world: str, params: Params, falls: bool) -> None:
-    """Senses, stance, state, reward and its terms, with the actions that the loop's legs chose.
+def test_walker_env_returns_the_bits_of_the_loop(world: str, params: Params, falls: bool) -> None:
+    """Senses, stance, state, reward and its terms are equal for the same actions.
 
-    No sensor saturates; four legs with random knees fall, and go on.
+    No value is clipped. A robot with random actions falls, and the episode continues.
     """
-    config = RunConfig(world, 10, seed=5, params=params, policy="fakes.Chosen", learning=False)
+    config = RunConfig(
+        world, 10, seed=5, params=params, policy="fakes.LoggedRandom", learning=False
+    )
     ticks = config.cycles * params.gait.ticks
-    heard = loop_of(config, ticks)
+    log = loop_of(config, ticks)
     by_senses = WalkerEnv(params, world=world, max_cycles=1000)
     by_state = WalkerEnv(params, world=world, observation="state", max_cycles=1000)
-    seen, infos = by_senses.reset(seed=5)
+    observations, infos = by_senses.reset(seed=5)
     states, _ = by_state.reset(seed=5)
     fell = 0
     rewards = dict.fromkeys(config.legs, 0.0)
     for tick in range(ticks):
         for n, leg in enumerate(config.legs):
-            did, sense = heard.transitions[tick][n], heard.senses[tick][n]
-            assert seen[leg][:-1].tolist() == expected(sense, did.next_stance)
+            transition, sense = log.transitions[tick][n], log.senses[tick][n]
+            assert observations[leg][:-1].tolist() == expected(sense, transition.next_stance)
             place = (tick / 32 + params.robot.offset[n]) % 1.0 * 32
-            assert seen[leg][-1] == (32 - place if place >= 24 else 0.0)
-            assert states[leg] == did.next_state
-            assert rewards[leg] == did.reward
-            assert infos[leg] == {"terms": dict(did.terms), "first_tick": sense.first_tick}
+            assert observations[leg][-1] == (32 - place if place >= 24 else 0.0)
+            assert states[leg] == transition.next_state
+            assert rewards[leg] == transition.reward
+            assert infos[leg] == {"terms": dict(transition.terms), "first_tick": sense.first_tick}
             fell += sense.first_tick
-        actions = dict(zip(config.legs, chosen[tick], strict=True))
-        seen, rewards, _, _, infos = by_senses.step(actions)
+        actions = dict(zip(config.legs, chosen_actions[tick], strict=True))
+        observations, rewards, _, _, infos = by_senses.step(actions)
         states = by_state.step(actions)[0]
-    assert len({did.reward for told in heard.transitions for did in told}) > 10
+    assert len({transition.reward for row in log.transitions for transition in row}) > 10
     assert (fell > 0) is falls
     by_senses.close()
     by_state.close()
 
 
 @physics
-def test_the_trainer_gives_the_bits_of_the_loop() -> None:
-    """With a modulated stop, whose heights the seed decides; drawn at every tick, too."""
+def test_trainer_env_returns_the_bits_of_the_loop() -> None:
+    """With a modulated stop, whose heights depend on the seed; rendering changes nothing."""
     params = modulated()
-    config = RunConfig("trainer", 8, seed=6, params=params, policy="fakes.Chosen", learning=False)
-    heard = loop_of(config, config.cycles * params.gait.ticks)
+    config = RunConfig(
+        "trainer", 8, seed=6, params=params, policy="fakes.LoggedRandom", learning=False
+    )
+    log = loop_of(config, config.cycles * params.gait.ticks)
     env = TrainerEnv(params, max_cycles=8, render_mode="rgb_array")
-    seen, info = env.reset(seed=6)
-    reward, paid = 0.0, 0
-    for tick, (senses, (did,)) in enumerate(zip(heard.senses, heard.transitions, strict=True)):
-        assert seen[:-1].tolist() == expected(senses[0], did.next_stance)
-        assert reward == did.reward
-        assert info["terms"] == dict(did.terms)
-        paid += did.credited
+    observation, info = env.reset(seed=6)
+    reward, credited = 0.0, 0
+    for tick, (senses, (transition,)) in enumerate(zip(log.senses, log.transitions, strict=True)):
+        assert observation[:-1].tolist() == expected(senses[0], transition.next_stance)
+        assert reward == transition.reward
+        assert info["terms"] == dict(transition.terms)
+        credited += transition.credited
         if tick % 16 == 0:
             assert env.render() is not None
-        seen, reward, terminated, truncated, info = env.step(chosen[tick][0])
-        assert (terminated, truncated) == (False, tick == len(heard.senses) - 1)
-    assert paid == len(heard.senses) - 1
+        observation, reward, terminated, truncated, info = env.step(chosen_actions[tick][0])
+        assert (terminated, truncated) == (False, tick == len(log.senses) - 1)
+    assert credited == len(log.senses) - 1
     env.close()
 
 
 @physics
-def test_a_seed_decides_every_bit() -> None:
-    """The same seed, the same episode, in a new environment or in one that went on; another not.
+def test_an_episode_depends_only_on_its_seed() -> None:
+    """The same seed gives the same episode, in a new or a used environment; another seed does not.
 
-    Without a seed the next one is drawn from the last.
+    Without a seed, one is drawn from the generator of the environment.
     """
 
     def episode(env: Any, seed: int | None) -> list[Any]:
-        told = [env.reset(seed=seed)[0].tolist()]
+        values = [env.reset(seed=seed)[0].tolist()]
         for tick in range(64):
-            seen, reward, *_ = env.step(tick % 9)
-            told += [reward, seen.tolist()]
-        return told
+            observation, reward, *_ = env.step(tick % 9)
+            values += [reward, observation.tolist()]
+        return values
 
     one, other = TrainerEnv(modulated()), TrainerEnv(modulated())
     first, second, third = episode(one, 3), episode(one, None), episode(one, None)
@@ -221,8 +227,8 @@ def test_a_seed_decides_every_bit() -> None:
 
 @pytest.mark.parametrize("observation", ["senses", "state"])
 @pytest.mark.parametrize("world", ["fakes.Fake", pytest.param("walker", marks=physics)])
-def test_pettingzoo_finds_nothing_wrong(world: str, observation: str) -> None:
-    """Its own tests of the interface and of seeds."""
+def test_pettingzoo_checks_pass(world: str, observation: str) -> None:
+    """PettingZoo's tests of the interface and of seeds."""
 
     def make() -> WalkerEnv:
         return WalkerEnv(world=world, observation=observation, max_cycles=2)
@@ -233,43 +239,43 @@ def test_pettingzoo_finds_nothing_wrong(world: str, observation: str) -> None:
 
 @physics
 @pytest.mark.parametrize("observation", ["senses", "state"])
-def test_gymnasium_finds_nothing_wrong(observation: str) -> None:
-    """Its own checker; without windows, which a test has not. A warning would fail it."""
-    made = gymnasium.make(TRAINER_ID, observation=observation)
-    assert made.spec is not None
-    check_env(made.unwrapped, skip_render_check=True)
-    made.close()
+def test_gymnasium_checks_pass(observation: str) -> None:
+    """Gymnasium's checker without rendering, which needs a window. A warning fails the test."""
+    env = gymnasium.make(TRAINER_ID, observation=observation)
+    assert env.spec is not None
+    check_env(env.unwrapped, skip_render_check=True)
+    env.close()
 
 
 def test_observations_share_no_memory() -> None:
-    """What was given stays as it was, and writing into it changes nothing that follows."""
+    """Earlier history do not change, and writing into them changes no later one."""
     env, untouched = (WalkerEnv(world="fakes.Fake") for _ in range(2))
-    (seen, infos), (same, _) = env.reset(seed=0), untouched.reset(seed=0)
-    kept = [seen]
+    (observations, infos), (same, _) = env.reset(seed=0), untouched.reset(seed=0)
+    history = [observations]
     for n in range(48):
-        before = [{leg: each.copy() for leg, each in told.items()} for told in kept]
+        before = [{leg: each.copy() for leg, each in old.items()} for old in history]
         actions = dict.fromkeys(env.agents, n % 9)
-        seen, _, _, _, infos = env.step(actions)
-        same, _, _, _, told = untouched.step(actions)
+        observations, _, _, _, infos = env.step(actions)
+        same, _, _, _, same_infos = untouched.step(actions)
         for leg in env.agents:
-            np.testing.assert_array_equal(seen[leg], same[leg])
-            assert infos[leg] == told[leg]
+            np.testing.assert_array_equal(observations[leg], same[leg])
+            assert infos[leg] == same_infos[leg]
             infos[leg]["terms"].clear()
-        for old, copy in zip(kept, before, strict=True):
+        for old, copy in zip(history, before, strict=True):
             for leg in env.agents:
                 np.testing.assert_array_equal(old[leg], copy[leg])
-        kept.append(seen)
+        history.append(observations)
         for leg in env.agents:
-            seen[leg][:] = seen[leg] * 0.0 - 1.0
-    arrays = [each for told in kept for each in told.values()]
+            observations[leg][:] = observations[leg] * 0.0 - 1.0
+    arrays = [each for old in history for each in old.values()]
     assert not any(
         np.shares_memory(one, other) for n, one in enumerate(arrays) for other in arrays[n + 1 :]
     )
 
 
 @pytest.mark.parametrize("ends", [False, True])
-def test_a_fall_is_told_and_ends_an_episode_only_by_argument(ends: bool) -> None:
-    """The fake's legs are put down at ticks 40 and 70; nothing is paid for the tick that fell."""
+def test_a_fall_sets_first_tick_and_ends_the_episode_only_if_asked_for(ends: bool) -> None:
+    """The fake robot falls at ticks 40 and 70; the reward of these ticks is 0."""
     env = WalkerEnv(world="fakes.Fake", terminate_on_fall=ends, max_cycles=3)
     alone = TrainerEnv(world="fakes.OneLeg", terminate_on_fall=ends, max_cycles=3)
     legs = list(env.reset(seed=0)[0])
@@ -293,8 +299,8 @@ def test_a_fall_is_told_and_ends_an_episode_only_by_argument(ends: bool) -> None
 
 
 @physics
-def test_a_picture_shows_the_robot() -> None:
-    """Pixels of the right shape, of many colours, that change as the robot moves."""
+def test_rendered_pictures_show_the_moving_robot() -> None:
+    """Pictures have the documented shape and many colours, and differ after the robot moved."""
     walker, trainer = WalkerEnv(render_mode="rgb_array"), TrainerEnv(render_mode="rgb_array")
     for env, act in ((walker, dict.fromkeys(walker.possible_agents, 8)), (trainer, 8)):
         env.reset(seed=0)
@@ -311,22 +317,22 @@ def test_a_picture_shows_the_robot() -> None:
         assert (first != second).any()
         assert env.metadata["render_fps"] == 64
         env.close()
-    silent = TrainerEnv()
-    silent.reset(seed=0)
-    assert silent.render() is None
-    silent.close()
+    without_rendering = TrainerEnv()
+    without_rendering.reset(seed=0)
+    assert without_rendering.render() is None
+    without_rendering.close()
 
 
-def test_a_window_is_shown_in_a_robots_own_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tick waits for what is left of its 1/64 s; a late one is not caught up with."""
+def test_human_rendering_runs_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tick sleeps for the rest of its 1/64 s; lost time is not made up."""
     now, slept = 100.0, []
-    took = iter([0.0, 0.005, 0.5, 0.0])
+    durations = iter([0.0, 0.005, 0.5, 0.0])
 
     class Clock:
         @staticmethod
         def monotonic() -> float:
             nonlocal now
-            now += next(took)
+            now += next(durations)
             return now
 
         @staticmethod
@@ -338,7 +344,7 @@ def test_a_window_is_shown_in_a_robots_own_time(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(robot, "time", Clock)
     env = TrainerEnv(world="fakes.OneLeg", render_mode="human")
     env.reset(seed=0)
-    assert made[-1].gui
+    assert created_worlds[-1].gui
     for _ in range(4):
         env.step(0)
     tick = env.params.gait.tick_s
@@ -346,50 +352,50 @@ def test_a_window_is_shown_in_a_robots_own_time(monkeypatch: pytest.MonkeyPatch)
     assert env.render() is None
 
 
-def test_a_world_is_built_once_a_seed_and_closed() -> None:
-    """The same seed puts the world back; another one builds it anew, and closes the one before."""
+def test_a_world_is_reused_for_the_same_seed_and_closed_otherwise() -> None:
+    """The same seed resets the world; another seed closes it and creates a new one."""
     env = WalkerEnv(world="fakes.Fake")
     for seed in (1, 1, 2):
         env.reset(seed=seed)
-    assert [(each.seed, each.closed) for each in made] == [(1, True), (2, False)]
+    assert [(each.seed, each.closed) for each in created_worlds] == [(1, True), (2, False)]
     env.close()
     env.close()
-    assert made[-1].closed
+    assert created_worlds[-1].closed
     env.reset(seed=2)
-    assert len(made) == 3
+    assert len(created_worlds) == 3
 
 
-def test_each_agent_has_spaces_of_its_own() -> None:
-    """Always the same objects, so that the seed of one draws nothing from another."""
+def test_each_agent_has_its_own_spaces() -> None:
+    """Always the same objects, so that seeding one space does not affect another."""
     env = WalkerEnv(world="fakes.Fake")
-    seen, _ = env.reset(seed=0)
+    observations, _ = env.reset(seed=0)
     for leg, space in env.observation_spaces.items():
-        assert space.contains(seen[leg])
+        assert space.contains(observations[leg])
         assert space is env.observation_space(leg)
     assert len({id(space) for space in env.observation_spaces.values()}) == 4
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("make", "message"),
     [
         (lambda: WalkerEnv(observation="all"), "observation = 'all'; 'senses' or 'state'"),
         (lambda: WalkerEnv(render_mode="ansi"), "render_mode = 'ansi'"),
         (lambda: TrainerEnv(max_cycles=0), "max_cycles = 0; 1 or more"),
         (lambda: TrainerEnv(world="walker"), "front_left.*WalkerEnv"),
         (lambda: WalkerEnv(world="moon"), "there is no world 'moon'"),
-        (lambda: WalkerEnv().step({}), r"reset\(\) first"),
-        (lambda: TrainerEnv(world="fakes.OneLeg").body, r"reset\(\) first"),
+        (lambda: WalkerEnv().step({}), r"call reset\(\) first"),
+        (lambda: TrainerEnv(world="fakes.OneLeg").body, r"call reset\(\) first"),
     ],
 )
-def test_what_cannot_be_used_is_refused(make: Any, says: str) -> None:
-    """An error names what is wrong and what would be right."""
-    with pytest.raises(ParameterError, match=says):
+def test_invalid_arguments_are_refused(make: Any, message: str) -> None:
+    """The error names the argument and valid values."""
+    with pytest.raises(ParameterError, match=message):
         make()
 
 
 @pytest.mark.parametrize("action", [9, -1, 1.0, None])
-def test_an_action_that_is_none_is_refused(action: Any) -> None:
-    """No leg moves before all actions were looked at."""
+def test_an_invalid_action_is_refused(action: Any) -> None:
+    """No leg moves before all actions are checked."""
     env = WalkerEnv(world="fakes.Fake")
     env.reset(seed=0)
     good = dict.fromkeys(env.agents, 0)
@@ -397,11 +403,11 @@ def test_an_action_that_is_none_is_refused(action: Any) -> None:
         env.step({**good, "rear_right": action})
     with pytest.raises(ParameterError, match="one of each of front_left"):
         env.step({"front_left": 0})
-    assert made[-1].observe()[0].tick == 0
+    assert created_worlds[-1].observe()[0].tick == 0
 
 
-def test_a_world_that_cannot_be_drawn_says_so() -> None:
-    """A world of one's own needs no camera, until it is asked for a picture."""
+def test_rendering_a_world_without_pictures_is_refused() -> None:
+    """A user's world needs the method ``picture`` only for rendering."""
     env = TrainerEnv(world="fakes.OneLeg", render_mode="rgb_array")
     env.reset(seed=0)
     with pytest.raises(ParameterError, match=r"'fakes.OneLeg' cannot be drawn; .*picture"):
@@ -409,15 +415,15 @@ def test_a_world_that_cannot_be_drawn_says_so() -> None:
 
 
 @pytest.mark.parametrize("library", ["gymnasium", "pettingzoo"])
-def test_without_the_extra_one_line_names_it(library: str) -> None:
-    """And the rest of the package is none the worse."""
+def test_without_the_extra_the_import_error_names_it(library: str) -> None:
+    """The rest of the package can be imported."""
     code = (
         "import importlib.abc, sys\n"
-        "class Wall(importlib.abc.MetaPathFinder):\n"
+        "class Blocker(importlib.abc.MetaPathFinder):\n"
         "    def find_spec(self, name, path=None, target=None):\n"
         f"        if name.split('.')[0] == {library!r}:\n"
         "            raise ModuleNotFoundError(name, name=name)\n"
-        "sys.meta_path.insert(0, Wall())\n"
+        "sys.meta_path.insert(0, Blocker())\n"
         "import ember_ros.loop\n"
         "from ember_ros.errors import MissingError\n"
         "try:\n"

@@ -1,4 +1,4 @@
-"""Every example runs, with tiny settings, and shows what it says."""
+"""Every example runs with small settings and has the documented result."""
 
 from __future__ import annotations
 
@@ -27,9 +27,11 @@ EXAMPLES = ROOT / "examples"
 
 
 def missing(*names: str) -> pytest.MarkDecorator:
-    """Skip where a library is not installed, and say which."""
-    lacks = [name for name in names if find_spec(name) is None]
-    return pytest.mark.skipif(bool(lacks), reason=f"not installed: {', '.join(lacks)}")
+    """Return a mark that skips a test if a library is not installed."""
+    missing_names = [name for name in names if find_spec(name) is None]
+    return pytest.mark.skipif(
+        bool(missing_names), reason=f"not installed: {', '.join(missing_names)}"
+    )
 
 
 PHYSICS = missing("pybullet")
@@ -39,7 +41,7 @@ SB3 = missing("stable_baselines3", "torch", "gymnasium", "pettingzoo", "pybullet
 
 @pytest.fixture
 def examples(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Let examples be imported, as from their folder, and forget them afterwards."""
+    """Make the examples importable; remove them from ``sys.modules`` afterwards."""
     monkeypatch.syspath_prepend(str(EXAMPLES))
     names = {file.stem for file in EXAMPLES.glob("*.py")}
     yield
@@ -48,7 +50,7 @@ def examples(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def run(*args: str, domain: int = 0) -> str:
-    """Run Python with examples to import; return what it prints."""
+    """Run Python with the examples on its path; return its standard output."""
     paths = os.pathsep.join(map(str, (EXAMPLES, ROOT)))
     done = subprocess.run(
         [sys.executable, *args],
@@ -62,21 +64,21 @@ def run(*args: str, domain: int = 0) -> str:
     return done.stdout
 
 
-def test_the_readme_tells_all_examples() -> None:
-    """Each file is in it, and says at its top what it shows."""
-    told = (EXAMPLES / "README.md").read_text(encoding="utf-8")
+def test_the_readme_lists_all_examples() -> None:
+    """Each file is listed, and starts with a description."""
+    readme = (EXAMPLES / "README.md").read_text(encoding="utf-8")
     files = [file for file in EXAMPLES.iterdir() if file.suffix in (".py", ".yaml")]
     assert len(files) > 5
     for file in files:
-        assert f"`{file.name}`" in told
+        assert f"`{file.name}`" in readme
         assert file.read_text(encoding="utf-8").startswith(('"""', "# "))
 
 
 @ENVS
-def test_the_readmes_code_runs() -> None:
-    """As it stands, but for fewer cycles."""
-    told = (EXAMPLES / "README.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(.*?)```", told, re.DOTALL)
+def test_the_code_in_the_readme_runs() -> None:
+    """Unchanged except for fewer cycles."""
+    readme = (EXAMPLES / "README.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
     assert "max_cycles=100" in code
     x, falls = run("-c", code.replace("max_cycles=100", "max_cycles=2")).split()
     assert float(x) != 0.0
@@ -85,21 +87,21 @@ def test_the_readmes_code_runs() -> None:
 
 @PHYSICS
 @pytest.mark.slow
-def test_a_reward_of_ones_own_is_paid_and_told(tmp_path: Path) -> None:
-    """Its term is in the record, negative, since a knee that is driven at random moves."""
+def test_the_user_defined_reward_is_used_and_recorded(tmp_path: Path) -> None:
+    """Its term is in the summary and negative, since the knee moves."""
     out = tmp_path / "mine"
     run(
         "-m", "ember_ros", "train", "--set", "parts.reward=own_reward.Mine",
         "--cycles", "4", "--on", "loop", "--out", str(out),
     )  # fmt: skip
-    paid = json.loads((out / "summary.json").read_text())["last"]["reward_by_term"]
-    assert list(paid)[-1] == "calm"
-    assert paid["calm"] < -0.005
+    rewards_by_term = json.loads((out / "summary.json").read_text())["last"]["reward_by_term"]
+    assert list(rewards_by_term)[-1] == "calm"
+    assert rewards_by_term["calm"] < -0.005
 
 
 @PHYSICS
-def test_a_new_body_walks() -> None:
-    """Eight legs by a parameter file, with the knee written by hand: ahead, without a fall."""
+def test_the_new_body_walks() -> None:
+    """Eight legs with the scripted policy walk forward without a fall."""
     params = load_params(EXAMPLES / "new_body.yaml")
     loop = Loop(RunConfig("walker", 12, params=params, policy="scripted", learning=False))
     assert len(loop.legs) == 8
@@ -113,18 +115,18 @@ def test_a_new_body_walks() -> None:
 
 @ENVS
 def test_independent_learners_learn(examples: None, capsys: pytest.CaptureFixture[str]) -> None:
-    """The trainer's leg earns more and more; four copies of it then learn apart."""
+    """The reward on the trainer increases; then four copies run."""
     example: Any = importlib.import_module("independent_q")
     args = example.Args(train_cycles=60, walk_cycles=4, report_cycles=30)
     env = example.WalkerEnv(world="trainer", observation="state", max_cycles=61)
     learner = example.QLearner(*(int(s.n) for s in spaces(env)), args, [1])
     first, last = (rewards(env, learner, example, args) for _ in range(2))
     assert last > first + 0.1
-    way = example.main(example.Args(train_cycles=2, walk_cycles=2, report_cycles=1))
-    assert math.isfinite(way)
-    told = capsys.readouterr().out
-    assert "4 copies of it on the body" in told
-    assert told.count("falls") >= 4
+    distance = example.main(example.Args(train_cycles=2, walk_cycles=2, report_cycles=1))
+    assert math.isfinite(distance)
+    output = capsys.readouterr().out
+    assert "4 copies of it on the body" in output
+    assert output.count("falls") >= 4
 
 
 def spaces(env: Any) -> tuple[Any, Any]:
@@ -134,37 +136,37 @@ def spaces(env: Any) -> tuple[Any, Any]:
 
 
 def rewards(env: Any, learner: Any, example: Any, args: Any) -> float:
-    """Let one leg learn for 60 cycles; return the mean reward that it was paid."""
-    paid: list[float] = []
+    """Let one leg learn for 60 cycles; return its mean reward."""
+    received: list[float] = []
     learn = learner.learn
 
-    def note(state: int, action: int, reward: float, then: int) -> None:
-        paid.append(reward)
-        learn(state, action, reward, then)
+    def log_and_learn(state: int, action: int, reward: float, next_state: int) -> None:
+        received.append(reward)
+        learn(state, action, reward, next_state)
 
-    learner.learn = note
+    learner.learn = log_and_learn
     epsilon = learner.epsilon
     example.run(env, {env.possible_agents[0]: learner}, args.train_cycles, args)
     learner.epsilon, learner.learn = epsilon, learn
-    return sum(paid) / len(paid)
+    return sum(received) / len(received)
 
 
 @SB3
 def test_ppo_learns_on_one_leg_and_on_four() -> None:
-    """64 strides on the trainer, then frozen and learning on the body."""
+    """64 strides on the trainer, then four legs, frozen and learning."""
     args = ("--seeds", "3", "--strides", "64", "--walk-strides", "16")
-    told = run(str(EXAMPLES / "sb3_trainer.py"), *args).splitlines()
-    assert [line.split(":")[0] for line in told if line.startswith("seed")] == [
+    lines = run(str(EXAMPLES / "sb3_trainer.py"), *args).splitlines()
+    assert [line.split(":")[0] for line in lines if line.startswith("seed")] == [
         "seed 3, trainer", "seed 3, four frozen copies", "seed 3, learning on together",
     ]  # fmt: skip
-    assert [line.split(":")[0] for line in told if line.startswith("  ")] == [
+    assert [line.split(":")[0] for line in lines if line.startswith("  ")] == [
         f"  {world} strides" for world in ("trainer, 0", "trainer, 64", "walker, 0", "walker, 16")
     ]
 
 
 @SB3
 def test_legs_are_many_environments_to_sb3(examples: None) -> None:
-    """Each leg its own observation, reward and info; the robot goes on over a fall."""
+    """Each leg has its own observation, reward and info; the robot continues after a fall."""
     import numpy as np
 
     legs: Any = importlib.import_module("sb3_legs").Legs("walker", seed=2)
@@ -172,10 +174,10 @@ def test_legs_are_many_environments_to_sb3(examples: None) -> None:
     assert first.shape == (4, *legs.observation_space.shape)
     rng, fell = np.random.default_rng(0), 0
     for _ in range(10 * 32):
-        seen, rewards, ends, infos = legs.step(rng.integers(9, size=4))
-        fell += bool(ends.all())
-        assert ends.tolist() == [info["first_tick"] for info in infos]
-        assert len({tuple(leg) for leg in seen}) == 4 or ends.all()
+        observations, rewards, dones, infos = legs.step(rng.integers(9, size=4))
+        fell += bool(dones.all())
+        assert dones.tolist() == [info["first_tick"] for info in infos]
+        assert len({tuple(leg) for leg in observations}) == 4 or dones.all()
         assert rewards.tolist() == [sum(info["terms"].values()) for info in infos]
     assert legs.env.body.falls == fell > 0
     assert legs.get_attr("render_mode") == [None] * 4
@@ -183,14 +185,14 @@ def test_legs_are_many_environments_to_sb3(examples: None) -> None:
 
 
 @SB3
-def test_the_measurement_writes_its_page(tmp_path: Path) -> None:
-    """A line a learner and seed, made from the file of figures beside it."""
+def test_the_comparison_writes_json_and_markdown(tmp_path: Path) -> None:
+    """The page has one row per learner and seed, with the values of the JSON file."""
     run(
         str(EXAMPLES / "ppo_against_q.py"), "--out", str(tmp_path), "--seeds", "1",
         "--strides", "64", "--q-strides", "64", "--walk-strides", "16", "--frozen-strides", "8",
     )  # fmt: skip
-    found = json.loads((tmp_path / "ppo.json").read_text())
-    (one,) = found["runs"]
+    results = json.loads((tmp_path / "ppo.json").read_text())
+    (one,) = results["runs"]
     assert [each["strides"] for each in one["q"]["curve"]] == [0, 64]
     assert [each["strides"] for each in one["ppo"]["curve"]] == [0, 64]
     page = (tmp_path / "ppo.md").read_text()
@@ -199,8 +201,8 @@ def test_the_measurement_writes_its_page(tmp_path: Path) -> None:
         assert f"{one[name]['frozen']['m']:.3f}" in page
 
 
-def test_hardware_keeps_to_what_a_world_promises(examples: None) -> None:
-    """The contract of all worlds; a leg that learns there is paid like another."""
+def test_the_hardware_world_fulfils_the_contract_of_worlds(examples: None) -> None:
+    """``check_world`` passes, and a leg learns in it."""
     example: Any = importlib.import_module("leg_driver")
     check_world(lambda: example.HardwareLeg(Params()))
     loop = Loop(RunConfig("leg_driver.HardwareLeg", 8))
@@ -212,7 +214,7 @@ def test_hardware_keeps_to_what_a_world_promises(examples: None) -> None:
 
 @missing("rclpy")
 @pytest.mark.slow
-def test_a_leg_on_its_driver_learns_on_the_graph(free_domain: int) -> None:
-    """Nodes around the driver: senses, commands and the table go over topics and services."""
-    told = run(str(EXAMPLES / "leg_driver.py"), "--cycles", "3", domain=free_domain)
-    assert told == "96 ticks of leg; 95 updates learnt\n"
+def test_the_leg_driver_learns_on_a_graph(free_domain: int) -> None:
+    """Senses, commands and the table go over topics and services."""
+    output = run(str(EXAMPLES / "leg_driver.py"), "--cycles", "3", domain=free_domain)
+    assert output == "96 ticks of leg; 95 updates learnt\n"

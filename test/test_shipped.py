@@ -1,4 +1,4 @@
-"""The table and the walk that come with the package are found by name, and are of this version."""
+"""The shipped table and bag are found by name, and were made with this version."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ needs_bags = pytest.mark.skipif(find_spec("rosbags") is None, reason="rosbags is
 
 
 @pytest.fixture(autouse=True)
-def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stand in a folder in which there is nothing of the package."""
+def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Change into an empty folder."""
     monkeypatch.chdir(tmp_path)
 
 
-def test_the_table_is_of_this_version() -> None:
-    """It was learnt with all of today's parameters; the README beside it says how it is made."""
+def test_shipped_table_has_the_default_parameters() -> None:
+    """It was learnt with the present defaults; the README.md beside it has the command."""
     table, about = load_table(Path(TABLE), Params())
     assert describe_differences(Path(TABLE), about, Params()) is None
     assert about["cycle"] == 6000
@@ -37,16 +37,16 @@ def test_the_table_is_of_this_version() -> None:
 
 
 @needs_bags
-def test_the_walk_begins_with_the_table() -> None:
-    """Both were made by the two commands of the README, one after the other."""
+def test_shipped_bag_starts_from_the_shipped_table() -> None:
+    """The two commands of that README.md made both."""
     with Bag(Path(BAG)) as bag:
         assert bag.table is not None
         assert bag.table.sha256() == load_table(Path(TABLE), Params())[0].sha256()
         assert bag.params == Params()
 
 
-def test_what_lies_here_comes_first() -> None:
-    """A user's own file or folder of that name is what is meant, even if it is of no use."""
+def test_a_file_in_the_working_folder_has_precedence() -> None:
+    """A file or folder of that name in the working folder is used, even if it is invalid."""
     Path(TABLE).write_text("mine\n")
     with pytest.raises(TableError, match=r"^trained is not a whole ember_ros table"):
         load_table(Path(TABLE), Params())
@@ -55,27 +55,27 @@ def test_what_lies_here_comes_first() -> None:
         Bag(Path(BAG))
 
 
-def test_a_folder_is_no_table_of_that_name() -> None:
+def test_a_folder_of_that_name_does_not_hide_the_shipped_table() -> None:
     """``ember walk --table trained --out trained`` makes the folder before it reads the table."""
     Path(TABLE).mkdir()
     assert len(load_table(Path(TABLE), Params())[0])
 
 
 @needs_sim
-def test_a_walk_starts_from_the_table() -> None:
-    """Nobody has to train before anything walks."""
+def test_a_run_starts_from_the_shipped_table() -> None:
+    """A walk works without a training before it."""
     words = ["walk", "--table", TABLE, "--on", "loop", "--cycles", "2", "--out", TABLE]
-    told = CliRunner().invoke(main, words)
-    assert told.exit_code == 0, told.output
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, result.output
     table, about = load_table(Path(TABLE) / "table.npz", Params())
     assert about["cycle"] == 2
-    # What a leg learns in two cycles is little beside what it knew.
+    # Two cycles add few visits to those of the table.
     assert table.visits.sum() > load_table(Path(TABLE), Params())[0].visits.sum()
 
 
 @needs_bags
-def test_the_walk_is_replayed() -> None:
-    """The first thing that may be tried on a bag works without one's own."""
-    told = CliRunner().invoke(main, ["replay", BAG])
-    assert told.exit_code == 0, told.output
-    assert "equal to the recorded one" in told.output
+def test_the_shipped_bag_is_replayed() -> None:
+    """A replay works without a recording before it."""
+    result = CliRunner().invoke(main, ["replay", BAG])
+    assert result.exit_code == 0, result.output
+    assert "equal to the recorded one" in result.output

@@ -1,4 +1,4 @@
-"""What is told of a run's origin: what decides, and apart from it what does not."""
+"""Versions and provenance of a run: bits depend on the versions only."""
 
 from __future__ import annotations
 
@@ -8,56 +8,60 @@ from pathlib import Path
 import pytest
 
 import ember_ros
-from ember_ros import versions as told
+from ember_ros import versions as versions_module
 from ember_ros.experiments.trial import Trial
 from support.command import child
 
-WHERE = ("date", "system", "cpu", "simd", "blas", "commit")
+PROVENANCE_FIELDS = ("date", "system", "cpu", "simd", "blas", "commit")
 
 
-def git(folder: Path, *what: str) -> str:
-    """Run git in a folder, as a person of its own."""
-    person = ("-c", "user.name=Some One", "-c", "user.email=one@example.org")
-    done = child(["git", *person, *what], cwd=folder)
+def git(folder: Path, *args: str) -> str:
+    """Run git in a folder with a fixed author; return its output."""
+    author = ("-c", "user.name=Some One", "-c", "user.email=one@example.org")
+    done = child(["git", *author, *args], cwd=folder)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 
 
-def test_where_and_when_a_run_was() -> None:
-    """Everything is told in words, the date in UTC."""
-    where = told.provenance()
-    assert tuple(where) == WHERE
-    assert all(where.values())
-    date = datetime.datetime.fromisoformat(where["date"])
+def test_provenance_has_all_fields_and_a_date_in_utc() -> None:
+    """No field is empty, and the date is the present one in UTC."""
+    provenance = versions_module.provenance()
+    assert tuple(provenance) == PROVENANCE_FIELDS
+    assert all(provenance.values())
+    date = datetime.datetime.fromisoformat(provenance["date"])
     assert date.utcoffset() == datetime.timedelta(0)
     assert abs(datetime.datetime.now(datetime.timezone.utc) - date) < datetime.timedelta(minutes=1)
 
 
-def test_where_and_when_decide_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither the versions nor the name of a trial know of it."""
-    before = told.versions(), Trial("walker", 1, 0).key
-    monkeypatch.setattr(told, "_here", lambda: dict.fromkeys(WHERE[1:], "another"))
-    assert (told.versions(), Trial("walker", 1, 0).key) == before
-    assert not set(WHERE) & set(told.versions())
+def test_versions_and_trial_names_do_not_depend_on_provenance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Another machine changes neither the versions nor the key of a trial."""
+    before = versions_module.versions(), Trial("walker", 1, 0).key
+    monkeypatch.setattr(
+        versions_module, "_machine", lambda: dict.fromkeys(PROVENANCE_FIELDS[1:], "another")
+    )
+    assert (versions_module.versions(), Trial("walker", 1, 0).key) == before
+    assert not set(PROVENANCE_FIELDS) & set(versions_module.versions())
 
 
-def test_the_commit_is_that_of_the_package(tmp_path: Path) -> None:
-    """Of a checkout, whether it was changed too; of files that are merely inside one, nothing."""
+def test_commit_is_that_of_the_package_checkout(tmp_path: Path) -> None:
+    """A changed checkout is marked; a file that the checkout does not track has no commit."""
     git(tmp_path, "init", "-q")
     file = tmp_path / "package.py"
     file.write_text("1\n", encoding="utf-8")
     git(tmp_path, "add", ".")
     git(tmp_path, "commit", "-qm", "one")
     commit = git(tmp_path, "rev-parse", "HEAD")
-    assert told._commit(file) == commit
+    assert versions_module._commit(file) == commit
     file.write_text("2\n", encoding="utf-8")
-    assert told._commit(file) == f"{commit}, changed"
+    assert versions_module._commit(file) == f"{commit}, changed"
     installed = tmp_path / "site-packages.py"
     installed.write_text("", encoding="utf-8")
-    assert told._commit(installed) == "unknown"
+    assert versions_module._commit(installed) == "unknown"
 
 
-def test_no_commit_without_git(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A machine without git runs everything all the same."""
+def test_commit_is_unknown_without_git(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without git there is no error."""
     monkeypatch.setenv("PATH", "/nowhere")
-    assert told._commit(Path(ember_ros.__file__)) == "unknown"
+    assert versions_module._commit(Path(ember_ros.__file__)) == "unknown"

@@ -198,7 +198,7 @@ def bench_command(
 
     params = load_params(*params_files, settings=settings)
     with stages("measuring") as show_stage:
-        measured = bench.bench(params, say=show_stage, **sizes)
+        measured = bench.bench(params, report=show_stage, **sizes)
     made = bench.write(measured, out, command_line())
     console.print(grid(bench.lines(measured)))
     _print_files(out, made)

@@ -1,11 +1,11 @@
-"""Environments for other reinforcement-learning libraries; neither ROS nor a Q-table is in them.
+"""Environments for other reinforcement-learning libraries, without ROS and without a Q-table.
 
-``WalkerEnv`` is a PettingZoo ``ParallelEnv``, one agent a leg; ``TrainerEnv`` a Gymnasium ``Env``
-of one leg. Importing this registers ``ember_ros/Trainer-v0`` with Gymnasium, so that
-``gymnasium.make("ember_ros.envs:ember_ros/Trainer-v0")`` does both. Needs the extra ``envs``.
+``WalkerEnv`` is a PettingZoo ``ParallelEnv`` with one agent per leg; ``TrainerEnv`` is a Gymnasium
+``Env`` with one leg. Importing this package registers ``ember_ros/Trainer-v0`` with Gymnasium;
+``gymnasium.make("ember_ros.envs:ember_ros/Trainer-v0")`` imports it and makes the environment.
+Needs the extra ``envs``.
 
-Both step as ``ember_ros.loop`` does: the actions of a loop's legs give its senses and rewards, to
-the bit.
+Both step like ``ember_ros.loop``: the same actions give the same senses and rewards, bit for bit.
 """
 
 from ember_ros.errors import need
@@ -20,6 +20,6 @@ from ember_ros.envs.walker_env import WalkerEnv  # noqa: E402
 __all__ = ["TRAINER_ID", "TrainerEnv", "WalkerEnv"]
 
 TRAINER_ID = "ember_ros/Trainer-v0"
-"""Of ``TrainerEnv`` in Gymnasium's registry."""
+"""Id of ``TrainerEnv`` in the registry of Gymnasium."""
 
 gymnasium.register(TRAINER_ID, entry_point="ember_ros.envs:TrainerEnv")

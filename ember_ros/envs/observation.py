@@ -1,6 +1,6 @@
-"""What an agent is given of what its leg knows: all senses as numbers, or the leg's state. Pure.
+"""The two forms of observation of an agent: all senses of its leg, or its discrete state. Pure.
 
-Both are local: nothing of another leg, of the body or of the world is in them.
+Both are local: they contain nothing about other legs, the body or the world.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ from leg_node.assembly import make_discretizer
 from leg_node.discretizer import states_of
 from leg_node.task import Perception
 
-KNEE_PLAY = 0.5
-"""Beyond its stops to which a knee is sensed, rad: Bullet's are soft."""
+KNEE_MARGIN = 0.5
+"""Bound of the knee angle beyond its stops, rad: joint limits in Bullet are soft."""
 MAX_SPEED = 200.0
-"""Of a joint, rad/s: the most that ``leg.knee_speeds`` can ask for."""
+"""Bound of joint speeds, rad/s: the largest value that ``leg.knee_speeds`` allows."""
 MAX_LOADS = 100.0
-"""Force of a foot, in ``leg.load``."""
+"""Bound of the force of a foot, in units of ``leg.load``."""
 MAX_SLIP = 1.0
-"""In a tick, m."""
+"""Bound of the slip per tick, m."""
 
 
 class Sensor(NamedTuple):
-    """One number of an observation."""
+    """One element of an observation."""
 
     name: str
-    """As in ``signals.LegSense`` and ``leg_node.gait.GaitStep``, where its frame stands as well."""
+    """Field of ``signals.LegSense`` or ``leg_node.gait.GaitStep``; they define the frames."""
     unit: str
     low: float
     high: float
 
 
 def sensors_of(params: Params) -> tuple[Sensor, ...]:
-    """Return the numbers of a senses observation in their order, with units and bounds."""
+    """Return the elements of a ``senses`` observation in order, with units and bounds."""
     load = MAX_LOADS * params.leg.load
     return (
         Sensor("hip", "rad", -math.pi, math.pi),
-        Sensor("knee", "rad", -KNEE_PLAY, params.leg.knee_max + KNEE_PLAY),
+        Sensor("knee", "rad", -KNEE_MARGIN, params.leg.knee_max + KNEE_MARGIN),
         Sensor("hip_speed", "rad/s", -MAX_SPEED, MAX_SPEED),
         Sensor("knee_speed", "rad/s", -MAX_SPEED, MAX_SPEED),
         Sensor("force_mean", "N", 0.0, load),
@@ -59,28 +59,28 @@ def sensors_of(params: Params) -> tuple[Sensor, ...]:
 
 
 class Observation(Protocol):
-    """A form of observation, with a Gymnasium space of its own."""
+    """A form of observation and its Gymnasium space."""
 
     space: spaces.Space[Any]
 
-    def of(self, seen: Perception) -> Any:
-        """Return a new observation of what a leg knows."""
+    def of(self, perception: Perception) -> Any:
+        """Return the observation for a perception, as a new object."""
         ...
 
 
 class Senses:
-    """The numbers of ``sensors_of``, float64, as they are; a sensor saturates at its bounds."""
+    """The elements of ``sensors_of``, float64, not normalized; values are clipped to the bounds."""
 
     def __init__(self, params: Params) -> None:
-        """Take the bounds from ``params``."""
+        """Make the space, with bounds from ``params``."""
         sensors = sensors_of(params)
         self._low = np.array([sensor.low for sensor in sensors])
         self._high = np.array([sensor.high for sensor in sensors])
         self.space = spaces.Box(self._low, self._high, dtype=np.float64)
 
-    def of(self, seen: Perception) -> NDArray[np.float64]:
-        """Return the numbers, ``(12,)``."""
-        sense, gait = seen.sense, seen.gait
+    def of(self, perception: Perception) -> NDArray[np.float64]:
+        """Return the elements, float64 of shape ``(12,)``."""
+        sense, gait = perception.sense, perception.gait
         values = (
             sense.hip, sense.knee, sense.hip_speed, sense.knee_speed,
             sense.force_mean, sense.force_peak, sense.inclination, sense.slip,
@@ -90,26 +90,26 @@ class Senses:
 
 
 class State:
-    """The leg's state as ``parts.discretizer`` says: one whole number, the row of a Q-table."""
+    """The leg's state by ``parts.discretizer``: one integer, the row of a Q-table."""
 
     def __init__(self, params: Params) -> None:
-        """Take the number of states from the discretizer of ``params``."""
+        """Make the space, with as many states as the discretizer of ``params`` has."""
         self.space = spaces.Discrete(states_of(make_discretizer(params)))
 
-    def of(self, seen: Perception) -> int:
-        """Return the state."""
-        return int(seen.state)
+    def of(self, perception: Perception) -> int:
+        """Return the index of the state."""
+        return int(perception.state)
 
 
 OBSERVATIONS: dict[str, Callable[[Params], Observation]] = {"senses": Senses, "state": State}
-"""The forms that there are."""
+"""Forms of observation by name."""
 
 
 def make_observation(form: str, params: Params) -> Observation:
-    """Return a form of observation with a space of its own.
+    """Return a new form of observation, with a new space.
 
     Raises:
-        ParameterError: there is none of that name.
+        ParameterError: there is no form with that name.
     """
     if form not in OBSERVATIONS:
         raise ParameterError(

@@ -1,6 +1,6 @@
-"""A robot whose legs wait for actions: the loop's tick, cut where a leg chooses. Pure.
+"""A robot that is stepped with actions from outside. Pure.
 
-The values and their order are those of ``ember_ros.loop.Loop.tick``.
+It does the same as ``ember_ros.loop.Loop.tick`` in the same order, but the actions are arguments.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from leg_node.assembly import make_task
 
 RENDER_MODES = ("human", "rgb_array")
 WIDTH, HEIGHT = 480, 320
-"""Of a picture, pixels."""
+"""Size of a rendered picture, pixels."""
 
 
 class SteppedRobot:
-    """A world, its oscillator, and the decision processes of its legs."""
+    """A world, its central pattern generator, and the decision processes of its legs."""
 
     def __init__(
         self,
@@ -37,10 +37,10 @@ class SteppedRobot:
         terminate_on_fall: bool,
         render_mode: str | None,
     ) -> None:
-        """Check what is asked for; nothing is built before ``begin``.
+        """Check the arguments; ``begin`` creates the world.
 
         Raises:
-            ParameterError: there is no such world, part or render mode, or no cycle to run.
+            ParameterError: an unknown world, part or render mode, or ``max_cycles`` is under 1.
         """
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ParameterError(
@@ -68,19 +68,19 @@ class SteppedRobot:
         """Return the world.
 
         Raises:
-            ParameterError: there is none before the first ``begin``, or after ``close``.
+            ParameterError: there is no world: before the first ``begin``, or after ``close``.
         """
         if self._world is None:
-            raise ParameterError("the environment has not begun; reset() first would be right")
+            raise ParameterError("the environment is not reset; call reset() first")
         return self._world
 
     @property
     def body(self) -> BodyState:
-        """Return the truth about the body, for reports; no agent is given it."""
+        """Return the ground truth of the body, for reports; it is in no observation."""
         return self.world.body()
 
     def begin(self, seed: int) -> None:
-        """Begin at tick 0, all legs' own memory included; ``seed`` decides every bit."""
+        """Start an episode at tick 0 and reset all legs; ``seed`` determines every bit of it."""
         if self._world is not None and seed == self._seed:
             self._world.reset()
         else:
@@ -94,28 +94,31 @@ class SteppedRobot:
     def _perceive(self) -> None:
         senses = self.world.observe()
         self._beat = self._beats.at(self._tick, senses)
-        self.seen = [
+        self.perceptions = [
             task.perceive(sense, self._beat)
             for task, sense in zip(self._tasks, senses, strict=True)
         ]
-        """What each leg knows at the present tick, in the order of ``legs``."""
+        """Perception of each leg at the present tick, in the order of ``legs``."""
 
     def step(self, actions: Sequence[Any]) -> None:
-        """Run one tick with one action a leg, each an index into ``leg.knee_speeds``.
+        """Run one tick.
+
+        Args:
+            actions: one per leg, in the order of ``legs``: indices into ``leg.knee_speeds``.
 
         Raises:
-            ParameterError: there is no such action, or the robot has not begun.
+            ParameterError: an action is invalid, or ``begin`` was not called.
         """
-        world, most = self.world, len(self.params.leg.knee_speeds) - 1
+        world, max_action = self.world, len(self.params.leg.knee_speeds) - 1
         for leg, action in zip(self.legs, actions, strict=True):
-            if not isinstance(action, (int, np.integer)) or not 0 <= action <= most:
+            if not isinstance(action, (int, np.integer)) or not 0 <= action <= max_action:
                 raise ParameterError(
-                    f"action of {leg} = {shown(action)}; a whole number, 0 to {most}, would be "
-                    "right"
+                    f"action of {leg} = {shown(action)}; a whole number, 0 to {max_action}, would "
+                    "be right"
                 )
         commands = [
-            task.act(seen, int(action))
-            for task, seen, action in zip(self._tasks, self.seen, actions, strict=True)
+            task.act(perception, int(action))
+            for task, perception, action in zip(self._tasks, self.perceptions, actions, strict=True)
         ]
         world.step(self._beat, commands)
         self._tick += 1
@@ -124,37 +127,42 @@ class SteppedRobot:
             self._pace()
 
     def _pace(self) -> None:
-        """Let a tick on the screen last as long as it does for the robot."""
+        """Sleep so that a tick takes ``gait.tick_s`` of wall time; lost time is not made up."""
         now = time.monotonic()
         self._due = max(self._due + self.params.gait.tick_s, now)
         time.sleep(self._due - now)
 
     @property
     def fell(self) -> bool:
-        """Return whether the robot was put back on its feet just now."""
-        return any(seen.sense.first_tick for seen in self.seen)
+        """Return whether the robot fell in the last tick and was put back on its feet."""
+        return any(perception.sense.first_tick for perception in self.perceptions)
 
     @property
     def terminated(self) -> bool:
-        """Return whether the episode ended by a fall."""
+        """Return whether a fall ended the episode."""
         return self._terminate_on_fall and self.fell
 
     @property
     def truncated(self) -> bool:
-        """Return whether the cycles are done, or the world has no further tick."""
+        """Return whether ``max_cycles`` is reached, or the world has ended."""
         return self._tick >= self._last_tick or self.world.over
 
     def info(self, n: int) -> dict[str, Any]:
-        """Return what is told of a leg beside its observation.
+        """Return the ``info`` of a leg: reward terms by name, and whether it is a first tick.
 
         Args:
-            n: position of the leg.
+            n: index of the leg in ``legs``.
         """
-        seen = self.seen[n]
-        return {"terms": dict(seen.transition.terms), "first_tick": seen.sense.first_tick}
+        perception = self.perceptions[n]
+        return {
+            "terms": dict(perception.transition.terms),
+            "first_tick": perception.sense.first_tick,
+        }
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture, ``(HEIGHT, WIDTH, 3)``; None where a window shows the robot, or nobody.
+        """Return an RGB picture, uint8 of shape ``(HEIGHT, WIDTH, 3)``.
+
+        None unless the render mode is ``rgb_array``.
 
         Raises:
             ParameterError: the world cannot be drawn.
@@ -171,17 +179,14 @@ class SteppedRobot:
         return picture
 
     def close(self) -> None:
-        """Let go of the world; safe to call twice."""
+        """Close the world; a second call does nothing."""
         if self._world is not None:
             self._world.close()
             self._world = None
 
 
 def metadata_of(params: Params) -> dict[str, Any]:
-    """Return an environment's metadata: its render modes, and frames per second of a robot's time.
-
-    A tick is a frame.
-    """
+    """Return the metadata of an environment: render modes, and frames (ticks) per second."""
     return {
         "name": "ember_ros_v0",
         "render_modes": list(RENDER_MODES),

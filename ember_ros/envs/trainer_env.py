@@ -1,4 +1,4 @@
-"""One leg on the trainer as a Gymnasium environment (paper, sections II, III, VI)."""
+"""The trainer with one leg as a Gymnasium environment (paper, sections II, III, VI)."""
 
 from __future__ import annotations
 
@@ -18,31 +18,33 @@ from ember_ros.signals import BodyState
 
 
 class TrainerEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
-    """One leg learns to step on the cantilever trainer.
+    """One leg on the cantilever trainer.
 
     ## Action space
-    ``Discrete(9)``: which of ``leg.knee_speeds`` the knee is driven at for one tick (1/64 s). The
-    hip is driven by the leg's gait, as in ``leg_node``.
+    ``Discrete(9)``: index into ``leg.knee_speeds``, the speed of the knee for one tick (1/64 s).
+    The gait drives the hip, as in ``leg_node``.
 
     ## Observation space
-    ``observation="senses"``: ``Box(12,)`` of float64, what is mounted on the leg and reads there,
-    and where its own gait stands; ``ember_ros.envs.observation.sensors_of`` lists units and bounds,
-    ``ember_ros.signals`` tells the frames: hip, knee [rad], hip_speed, knee_speed [rad/s],
-    force_mean, force_peak [N], inclination [rad], slip [m], hair, contact, stance [0 or 1],
-    ticks_to_stance [tick].
-    ``observation="state"``: ``Discrete``, the state that the leg's discretizer makes of these.
+    ``observation="senses"``: ``Box(12,)`` of float64, the sensor readings of the leg and the state
+    of its gait. ``ember_ros.envs.observation.sensors_of`` lists units and bounds,
+    ``ember_ros.signals`` defines the frames. Elements: hip, knee [rad], hip_speed,
+    knee_speed [rad/s], force_mean, force_peak [N], inclination [rad], slip [m], hair, contact,
+    stance [0 or 1], ticks_to_stance [tick].
+    ``observation="state"``: ``Discrete``, the index of the state by ``parts.discretizer``.
 
     ## Reward
-    Of the tick that ended: the sum of the terms of ``parts.reward``, each in ``info["terms"]``.
+    The sum of the reward terms of ``parts.reward`` for the tick that ended; ``info["terms"]`` has
+    each term.
 
     ## Episode
-    Begins at tick 0 and is truncated after ``max_cycles`` cycles of the CPG. A fall is told in
-    ``info["first_tick"]``: the robot was put back on its feet, this tick's reward is 0, and nothing
-    should be learnt across it; it goes on, as in the paper, unless ``terminate_on_fall``. The
-    trainer's leg cannot fall.
+    Starts at tick 0 and is truncated after ``max_cycles`` cycles of the CPG. After a fall
+    ``info["first_tick"]`` is True: the robot was put back on its feet, the reward of the tick is 0,
+    and no learner should use this transition. The episode continues, as in the paper, unless
+    ``terminate_on_fall``. The leg of the trainer cannot fall.
 
-    ``reset(seed=S)`` begins the run that ``ember train --seed S`` begins; without a seed the next
-    one is drawn from the last. Not in the observation, for reports: ``env.unwrapped.body``.
+    ``reset(seed=S)`` starts the same run as ``ember train --seed S``; without a seed, one is
+    drawn from the random generator of the environment. ``env.unwrapped.body`` has the ground
+    truth for reports; it is not in the observation.
     """
 
     metadata = metadata_of(Params())
@@ -57,18 +59,18 @@ class TrainerEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         terminate_on_fall: bool = False,
         render_mode: str | None = None,
     ) -> None:
-        """Check what is asked for; the world is built by ``reset``.
+        """Check the arguments; ``reset`` creates the world.
 
         Args:
-            params: every number, and which parts; the defaults for None.
-            world: name or dotted path of one with one leg.
+            params: all parameters, including the names of the parts; None for the defaults.
+            world: name or dotted path of a world with one leg.
             observation: ``senses`` or ``state``.
-            max_cycles: of the CPG, ``gait.ticks`` steps each.
+            max_cycles: length of an episode in cycles of the CPG, ``gait.ticks`` steps each.
             terminate_on_fall: whether a fall ends the episode.
-            render_mode: ``human``, a window in a robot's own time; ``rgb_array``; None.
+            render_mode: ``human`` (a window, in real time), ``rgb_array`` or None.
 
         Raises:
-            ParameterError: one of them cannot be used.
+            ParameterError: an argument is invalid.
         """
         self._robot = SteppedRobot(
             world,
@@ -90,38 +92,44 @@ class TrainerEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
 
     @property
     def body(self) -> BodyState:
-        """Return the truth about what the leg carries, for reports."""
+        """Return the ground truth of the body that the leg carries, for reports."""
         return self._robot.body
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin at tick 0; there are no options."""
+        """Start an episode at tick 0; ``options`` is not used."""
         super().reset(seed=seed)
         self._robot.begin(int(self.np_random.integers(MAX_INTEGER)) if seed is None else seed)
-        return self._observation.of(self._robot.seen[0]), self._robot.info(0)
+        return self._observation.of(self._robot.perceptions[0]), self._robot.info(0)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Run one tick; return observation, reward, terminated, truncated and info.
+        """Run one tick.
+
+        Args:
+            action: index into ``leg.knee_speeds``.
+
+        Returns:
+            Observation, reward, terminated, truncated and info.
 
         Raises:
-            ParameterError: there is no such action.
+            ParameterError: the action is invalid.
         """
         robot = self._robot
         robot.step([action])
-        (seen,) = robot.seen
+        (perception,) = robot.perceptions
         return (
-            self._observation.of(seen),
-            seen.transition.reward,
+            self._observation.of(perception),
+            perception.transition.reward,
             robot.terminated,
             robot.truncated,
             robot.info(0),
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture, ``(320, 480, 3)`` RGB, by ``render_mode="rgb_array"``."""
+        """Return an RGB picture, uint8 of shape ``(320, 480, 3)``; None unless ``rgb_array``."""
         return self._robot.render()
 
     def close(self) -> None:
-        """Let go of the physics server."""
+        """Close the world and its physics server."""
         self._robot.close()

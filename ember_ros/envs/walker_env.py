@@ -1,4 +1,4 @@
-"""A body on its legs as a PettingZoo environment: one agent a leg (paper, sections II, IV, VI)."""
+"""The walker as a PettingZoo environment with one agent per leg (paper, sections II, IV, VI)."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from ember_ros.run_config import MAX_INTEGER
 from ember_ros.signals import BodyState
 
 PerAgent = dict[str, Any]
-"""By agent."""
+"""Values by agent."""
 
 
 class WalkerEnv(ParallelEnv):  # type: ignore[misc]
-    """Legs carry a body, each an agent that knows and is paid for nothing but its own doings.
+    """A body on legs; each leg is an agent with local observations and a local reward.
 
-    Agents are ``robot.legs`` of the parameters, four or any number: ``load_params("hexapod")``.
-    Each has the action space, the observation spaces, the reward and the infos of ``TrainerEnv``,
-    so that a policy of one leg on the trainer is one of a leg here. Legs affect each other through
-    the body alone.
+    The agents are ``robot.legs`` of the parameters: four, or six with ``load_params("hexapod")``.
+    Each has the action space, observation spaces, reward and info of ``TrainerEnv``, so that a
+    policy of the trainer can be used for each leg. Legs affect each other only through the body.
 
-    Begins at tick 0 and is truncated after ``max_cycles`` cycles of the CPG, for all agents at
-    once. After a fall ``infos[agent]["first_tick"]`` is True: the robot was put back on its feet
-    where it fell, this tick's reward is 0, and nothing should be learnt across it; it goes on, as
-    in the paper, unless ``terminate_on_fall``.
+    An episode starts at tick 0 and is truncated after ``max_cycles`` cycles of the CPG, for all
+    agents at the same time. After a fall ``infos[agent]["first_tick"]`` is True: the robot was put
+    back on its feet where it fell, the reward of the tick is 0, and no learner should use this
+    transition. The episode continues, as in the paper, unless ``terminate_on_fall``.
 
-    ``reset(seed=S)`` begins the run that ``ember walk --seed S`` begins; without a seed the next
-    one is drawn from the last. Nothing in the walker hangs on the seed, a world of your own may.
-    Not in any observation, for reports: ``env.body``.
+    ``reset(seed=S)`` starts the same run as ``ember walk --seed S``; without a seed, one is
+    drawn from the random generator of the environment. The walker does not depend on the
+    seed, but another world may. ``env.body`` has the ground truth for reports; it is in no
+    observation.
     """
 
     metadata = metadata_of(Params())
@@ -52,18 +52,18 @@ class WalkerEnv(ParallelEnv):  # type: ignore[misc]
         terminate_on_fall: bool = False,
         render_mode: str | None = None,
     ) -> None:
-        """Check what is asked for; the world is built by ``reset``.
+        """Check the arguments; ``reset`` creates the world.
 
         Args:
-            params: every number, and which parts; the defaults for None.
-            world: name, or dotted path of one of your own.
+            params: all parameters, including the names of the parts; None for the defaults.
+            world: name or dotted path of a world.
             observation: ``senses`` or ``state``.
-            max_cycles: of the CPG, ``gait.ticks`` steps each.
+            max_cycles: length of an episode in cycles of the CPG, ``gait.ticks`` steps each.
             terminate_on_fall: whether a fall ends the episode.
-            render_mode: ``human``, a window in a robot's own time; ``rgb_array``; None.
+            render_mode: ``human`` (a window, in real time), ``rgb_array`` or None.
 
         Raises:
-            ParameterError: one of them cannot be used.
+            ParameterError: an argument is invalid.
         """
         self._robot = SteppedRobot(
             world,
@@ -94,13 +94,13 @@ class WalkerEnv(ParallelEnv):  # type: ignore[misc]
 
     @property
     def body(self) -> BodyState:
-        """Return the truth about the body, for reports."""
+        """Return the ground truth of the body, for reports."""
         return self._robot.body
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[PerAgent, PerAgent]:
-        """Begin at tick 0; there are no options.
+        """Start an episode at tick 0; ``options`` is not used.
 
         Returns:
             Observations and infos, by agent.
@@ -114,14 +114,17 @@ class WalkerEnv(ParallelEnv):  # type: ignore[misc]
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[PerAgent, PerAgent, PerAgent, PerAgent, PerAgent]:
-        """Run one tick with an action of every agent.
+        """Run one tick.
+
+        Args:
+            actions: index into ``leg.knee_speeds`` for each agent.
 
         Returns:
             Observations, rewards, terminations, truncations and infos, by agent; all empty after
-            the episode's end.
+            the end of the episode.
 
         Raises:
-            ParameterError: an action is missing or there is no such one, or ``reset`` is due.
+            ParameterError: an action is missing or invalid, or ``reset`` was not called.
         """
         robot = self._robot
         if not self.agents and robot.world:
@@ -132,30 +135,33 @@ class WalkerEnv(ParallelEnv):  # type: ignore[misc]
                 "would be right"
             )
         robot.step([actions[agent] for agent in self.agents])
-        told = (
+        result = (
             self._observe(),
-            {leg: each.transition.reward for leg, each in self._each(robot.seen)},
+            {leg: each.transition.reward for leg, each in self._by_leg(robot.perceptions)},
             dict.fromkeys(self.agents, robot.terminated),
             dict.fromkeys(self.agents, robot.truncated),
             self._infos(),
         )
         if robot.terminated or robot.truncated:
             self.agents = []
-        return told
+        return result
 
-    def _each(self, values: Any) -> Any:
+    def _by_leg(self, values: Any) -> Any:
         return zip(self.possible_agents, values, strict=True)
 
     def _observe(self) -> PerAgent:
-        return {leg: self._observations[leg].of(seen) for leg, seen in self._each(self._robot.seen)}
+        return {
+            leg: self._observations[leg].of(perception)
+            for leg, perception in self._by_leg(self._robot.perceptions)
+        }
 
     def _infos(self) -> PerAgent:
         return {leg: self._robot.info(n) for n, leg in enumerate(self.possible_agents)}
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture, ``(320, 480, 3)`` RGB, by ``render_mode="rgb_array"``."""
+        """Return an RGB picture, uint8 of shape ``(320, 480, 3)``; None unless ``rgb_array``."""
         return self._robot.render()
 
     def close(self) -> None:
-        """Let go of the physics server."""
+        """Close the world and its physics server."""
         self._robot.close()

@@ -1,1 +1,1 @@
-"""What is made of recorded runs: run again, and learnt from again. Pure."""
+"""Use of recorded runs without a simulator: replay, and learning from bags. Pure."""

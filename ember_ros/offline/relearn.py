@@ -1,8 +1,8 @@
 """Learns from recorded senses and actions with other parameters: Q-learning is off-policy.
 
-It is a replay with a policy that returns the recorded actions: the same modules, the same sync and
-the same merge. With the parameters of the run itself the result is the table that was learnt then;
-with others it is the table that the run would have learnt with them. Pure.
+This is a replay with a policy that returns the recorded actions, and with the same modules,
+synchronization and merging of tables. With the parameters of the run the result is the table of the
+run; with other parameters it is the table that the same actions give with them. Pure.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ class Relearnt(NamedTuple):
 
     table: Table
     params: Params
-    """Those of the learning."""
+    """The parameters of this learning."""
     ticks: int
     updates: int
-    """Of cells of the table."""
+    """Updates of cells of the table."""
     skipped: int
     """Ticks of one leg without complete senses or without a command."""
     falls: int
@@ -60,14 +60,14 @@ class _RecordedPolicy:
 
 
 class _Actions:
-    """The action of each recorded command."""
+    """Maps recorded commands to actions."""
 
     def __init__(self, bag: Bag) -> None:
         self._path = bag.path
         self._speeds = {speed: n for n, speed in enumerate(bag.params.leg.knee_speeds)}
 
     def of(self, leg: str, command: LegCommand) -> int:
-        """Return the action."""
+        """Return the index of the action of a command."""
         try:
             return self._speeds[command.knee_speed]
         except KeyError:
@@ -88,17 +88,17 @@ def relearn(
     namespace: str | None = None,
     go_on: Callable[[int, int], bool] = lambda ticks, falls: True,
 ) -> Relearnt:
-    """Learn from bags, one after the other, in their order.
+    """Learn from one or more bags, in the order of the list.
 
     Args:
-        bags: folders.
+        bags: folders of the bags.
         changes: full names of parameters (``reward.slip``) and their values, on top of ``params``.
-        params: to learn with; those of the first bag for None.
-        stage: whose learning parameters are used, ``train`` or ``walk``; the bag's own for None.
-        table: to start from, changed in place; an empty one for None.
-        passes: how often all bags are read.
-        namespace: of the robot in each bag.
-        go_on: receives how many ticks and falls are done; returns whether to go on.
+        params: parameters to learn with; None for those of the first bag.
+        stage: the hyperparameters to use, ``train`` or ``walk``; None for those of the bag.
+        table: table to start from, changed in place; None for an empty one.
+        passes: number of times that all bags are read.
+        namespace: namespace of the robot in each bag.
+        go_on: called with the number of ticks and of falls so far; returns whether to continue.
 
     Raises:
         BagError: a bag cannot be read, or was recorded with another leg or gait.
@@ -107,23 +107,26 @@ def relearn(
     if not bags:
         raise BagError("there is no bag to learn from; name one or more")
     with Bag(bags[0], namespace=namespace, params=params) as bag:
-        own = replace(params or bag.params, changes or {})
+        new_params = replace(params or bag.params, changes or {})
         stage = stage or bag.stage
     if table is None:
-        table = empty_table(own)
-    numbers = numbers_of(own, stage)
+        table = empty_table(new_params)
+    hyperparameters = numbers_of(new_params, stage)
     shared = SharedTable(
-        table, legs=len(own.robot.legs), cells=cells_sha256(own), rate=numbers.rate
+        table,
+        legs=len(new_params.robot.legs),
+        cells=cells_sha256(new_params),
+        rate=hyperparameters.rate,
     )
     before = int(table.visits.sum())
     ticks = skipped = falls = 0
-    for turn in range(passes):
+    for pass_index in range(passes):
         for n, path in enumerate(bags):
-            with Bag(path, namespace=namespace, params=own) as bag:
-                _check(bag, own)
+            with Bag(path, namespace=namespace, params=new_params) as bag:
+                _check(bag, new_params)
                 actions, policy = _Actions(bag), _RecordedPolicy()
                 legs = [
-                    make_leg(own, leg, stage=stage, policy=policy, run=f"{turn}/{n}")
+                    make_leg(new_params, leg, stage=stage, policy=policy, run=f"{pass_index}/{n}")
                     for leg in bag.legs
                 ]
                 fall_count, last, incomplete = 0, 0, set[tuple[int, str]]()
@@ -149,18 +152,18 @@ def relearn(
                     flush(shared, leg, last)
                 shared.merge()
                 falls += fall_count
-    return Relearnt(table, own, ticks, int(table.visits.sum()) - before, skipped, falls)
+    return Relearnt(table, new_params, ticks, int(table.visits.sum()) - before, skipped, falls)
 
 
 def _check(bag: Bag, params: Params) -> None:
-    """Raise a BagError if gait, leg or robot are not those of the parameters."""
-    was, now = as_dict(bag.params), as_dict(params)
+    """Raise a BagError if the bag was recorded with another gait, leg or robot."""
+    recorded, new = as_dict(bag.params), as_dict(params)
     for group in ("gait", "leg", "robot"):
-        for name, value in was[group].items():
-            if now[group][name] != value:
+        for name, value in recorded[group].items():
+            if new[group][name] != value:
                 raise BagError(
                     f"{bag.path} was recorded with {group}.{name} = {value}, and cannot be learnt "
-                    f"from with {now[group][name]}: its senses and actions would have another "
+                    f"from with {new[group][name]}: its senses and actions would have another "
                     "meaning; reward.*, state.*, train.* and walk.* may be changed"
                 )
 
@@ -168,14 +171,14 @@ def _check(bag: Bag, params: Params) -> None:
 def short_forms(
     params: Params, stage: str, *, alpha: float | None, gamma: float | None, bins: int | None
 ) -> dict[str, Any]:
-    """Return the changes of the options with short names.
+    """Return the parameter changes of the command-line options with short names.
 
     Args:
-        params: before the changes.
-        stage: whose learning parameters are changed.
-        alpha: minimal learning rate; a constant rate stays constant. Every None changes nothing.
-        gamma: discount per tick.
-        bins: partitions of the hip's range.
+        params: parameters before the changes.
+        stage: the hyperparameters to change, ``train`` or ``walk``.
+        alpha: minimum learning rate; a constant rate stays constant. None: unchanged.
+        gamma: discount factor per tick. None: unchanged.
+        bins: number of bins of the hip angle. None: unchanged.
     """
     changes = {f"{stage}.alpha_floor": alpha, f"{stage}.gamma": gamma, "state.hip_bins": bins}
     rate = params.walk.rate if stage == "walk" else params.train.rate
@@ -193,7 +196,7 @@ def refuse_to_replace(out: Path) -> None:
     existing = [name for name in OUTPUTS if (out / name).exists()]
     if existing:
         raise ParameterError(
-            f"{out} has {', '.join(existing)} already; give another --out, or --force to replace it"
+            f"{out} has {', '.join(existing)} already; use another --out, or --force to replace it"
         )
 
 
@@ -202,7 +205,7 @@ def write(learnt: Relearnt, out: Path, request: Mapping[str, Any]) -> None:
 
     Args:
         learnt: the result.
-        out: a folder, made if it is missing.
+        out: the folder, created if it does not exist.
         request: the arguments of the command, as plain values, for the summary.
     """
     summary = {

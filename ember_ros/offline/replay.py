@@ -1,4 +1,4 @@
-"""Runs a recorded run again: new legs in a world that returns the recorded senses. Pure.
+"""Replays a recorded run: new legs in a world that returns the recorded senses. Pure.
 
 The caller chooses the runner: the loop, or a graph of nodes (``ember_ros.graph.by_graph``).
 """
@@ -20,7 +20,7 @@ from leg_node.table import Table
 from leg_node.table_file import save_table
 
 GoOn = Callable[[int], bool]
-"""Receives how many ticks are done; returns whether to go on."""
+"""Called with the number of ticks so far; returns whether to continue."""
 
 
 class Difference(NamedTuple):
@@ -33,7 +33,7 @@ class Difference(NamedTuple):
     replayed: object
 
     def __str__(self) -> str:
-        """Return it as a sentence."""
+        """Return the difference as a sentence."""
         return (
             f"tick {self.tick}, {self.leg}: {self.field} was recorded as {self.recorded}, and "
             f"replayed as {self.replayed}"
@@ -43,39 +43,41 @@ class Difference(NamedTuple):
 class ReplayWorld:
     """A world that returns the recorded senses, and compares the legs' commands with the record.
 
-    Commands do not change what follows. It ends with the bag, or where a leg's senses are missing.
+    Commands do not influence the senses. The world ends at the end of the bag, or at the first tick
+    whose senses are incomplete.
     """
 
     def __init__(self, legs: Sequence[str], ticks: Iterator[Tick], rate: float = 0.0) -> None:
-        """Begin at the first tick.
+        """Start at the first tick.
 
         Args:
-            legs: their names, in order.
-            ticks: of the bag.
-            rate: ticks per second of wall time; without a limit for 0.
+            legs: names of the legs, in order.
+            ticks: the ticks of the bag.
+            rate: ticks per second of wall time; 0 for no limit.
 
         Raises:
             BagError: there is no tick.
         """
         self.legs = tuple(legs)
         self.compared = 0
-        """Commands that were compared with the record."""
+        """Number of commands that were compared with the record."""
         self.transitions_compared = 0
-        """Transitions that were compared with the record."""
+        """Number of transitions that were compared with the record."""
         self.unanswered = dict.fromkeys(self.legs, 0)
-        """Ticks without a recorded command, by leg."""
+        """Number of ticks without a recorded command, by leg."""
         self.difference: Difference | None = None
-        """The first in a command or in the phase."""
+        """The first difference in a command or in the phase."""
         self.transition_difference: Difference | None = None
-        """The first in a transition."""
+        """The first difference in a transition."""
         self.missing: str | None = None
-        """Why the record ends before the bag does, if it does."""
+        """Why the replay ends before the end of the bag; None if it does not."""
         self._ticks = ticks
         self._wait = 1.0 / rate if rate else 0.0
         self._due = time.monotonic()
         self._last: Tick | None = None
         self._next: Tick | None = None
-        self.work = 0.0  # not recorded
+        # A bag does not contain the mechanical work of the motors.
+        self.work = 0.0
         self.over = False
         """Whether the record has ended."""
         self._advance()
@@ -83,7 +85,7 @@ class ReplayWorld:
             raise BagError(f"nothing to replay: {self.missing or 'there is no complete tick'}")
 
     def _advance(self) -> None:
-        """Read the next tick of the bag; end if it is not complete, or not the following one."""
+        """Read the next tick of the bag; end if it is incomplete or not the expected one."""
         self._last, self._next = self._next, next(self._ticks, None)
         if self._next is None:
             self.over = True
@@ -98,7 +100,10 @@ class ReplayWorld:
             self._next, self.over = None, True
 
     def observe(self) -> tuple[LegSense, ...]:
-        """Return the recorded senses; after the end the last ones, to which nothing is credited."""
+        """Return the recorded senses; after the end the last ones, marked as a first tick.
+
+        A leg learns nothing from a transition to a first tick.
+        """
         tick = self._next or self._last
         assert tick is not None
         over = self._next is None
@@ -109,7 +114,7 @@ class ReplayWorld:
         )
 
     def step(self, beat: Beat, commands: Sequence[LegCommand | None]) -> None:
-        """Compare the commands with the record, and go to the next tick."""
+        """Compare the commands with the record, and advance to the next tick."""
         tick = self._next
         assert tick is not None
         for leg, command, recorded in zip(self.legs, commands, tick.commands, strict=True):
@@ -153,7 +158,7 @@ class ReplayWorld:
         return tick.body
 
     def reset(self) -> None:
-        """Raise a BagError: a record is read once, from its beginning to its end."""
+        """Raise a BagError: a bag is read only once, from its start to its end."""
         raise BagError("a recorded world cannot be reset; open the bag again")
 
     def close(self) -> None:
@@ -163,9 +168,9 @@ class ReplayWorld:
 def _command_difference(leg: str, recorded: LegCommand, command: LegCommand | None) -> Difference:
     if command is None:
         return Difference(recorded.tick, leg, "command", recorded, None)
-    for field, was, now in zip(LegCommand._fields, recorded, command, strict=True):
-        if was != now:
-            return Difference(recorded.tick, leg, field, was, now)
+    for field, recorded_value, value in zip(LegCommand._fields, recorded, command, strict=True):
+        if value != recorded_value:
+            return Difference(recorded.tick, leg, field, recorded_value, value)
     raise AssertionError(recorded)
 
 
@@ -174,15 +179,15 @@ def _transition_difference(
 ) -> Difference:
     if transition is None:
         return Difference(recorded.tick, leg, "transition", recorded, None)
-    was, now = _flat(recorded), _flat(transition)
-    for name in dict.fromkeys([*was, *now]):
-        if was.get(name) != now.get(name):
-            return Difference(recorded.tick, leg, name, was.get(name), now.get(name))
+    old, new = _flat(recorded), _flat(transition)
+    for name in dict.fromkeys([*old, *new]):
+        if old.get(name) != new.get(name):
+            return Difference(recorded.tick, leg, name, old.get(name), new.get(name))
     raise AssertionError(recorded)
 
 
 def _flat(transition: Transition) -> dict[str, object]:
-    """Return all values of a transition by name, each term of the reward on its own."""
+    """Return the values of a transition by name, with one entry per reward term."""
     terms = {f"reward of {name}": value for name, value in transition.terms}
     return {**transition._asdict(), "terms": None, **terms}
 
@@ -193,31 +198,31 @@ class Replayed(NamedTuple):
     ticks: int
     cycles: float
     compared: int
-    """Commands that were compared with the record."""
+    """Number of commands that were compared with the record."""
     unanswered: dict[str, int]
-    """Ticks without a recorded command, by leg, for legs that have any."""
+    """Number of ticks without a recorded command, by leg, if any."""
     difference: Difference | None
-    """The first in the senses, the commands or the phase, or None."""
+    """The first difference in the senses, the commands or the phase, or None."""
     transition_difference: Difference | None
-    """The first in a transition, or None."""
+    """The first difference in a transition, or None."""
     missing: str | None
-    """Why the replay ended before the bag, or None."""
+    """Why the replay ended before the end of the bag, or None."""
     table: Table
-    """At the end."""
+    """The table at the end."""
     recorded_sha256: str | None
-    """Of the table at the end, if it was recorded."""
+    """SHA-256 of the recorded table at the end; None if it was not recorded."""
     stopped: bool
-    """Whether it was stopped before the end."""
+    """Whether the replay was stopped before the end."""
     seconds: float
-    """Wall time."""
+    """Wall time, s."""
 
     parts: Mapping[str, bool | None]
-    """Whether senses, commands, rewards and table are equal to the recorded ones; None of a part
-    that was not recorded, or not to its end."""
+    """Whether senses, commands, rewards and table are equal to the recorded ones. The value is None
+    for a part that was not recorded completely."""
 
     @property
     def equal(self) -> bool:
-        """Return whether everything that was recorded is equal."""
+        """Return whether the replay is complete and all recorded parts are equal."""
         return self.missing is None and False not in self.parts.values()
 
 
@@ -225,10 +230,10 @@ SENSES = "CRC-32 of the senses"
 
 
 def conclusion_of(parts: Mapping[str, bool | None], *, complete: bool = True) -> str:
-    """Return in one line which parts are equal, which are not, and what follows from that.
+    """Return one line that lists equal and different parts, with a conclusion.
 
     Args:
-        parts: of ``Replayed``.
+        parts: the field of ``Replayed``.
         complete: whether the replay reached the end of the bag.
     """
     lists = {
@@ -258,12 +263,12 @@ def conclusion_of(parts: Mapping[str, bool | None], *, complete: bool = True) ->
 
 
 Runner = Callable[[RunConfig, ReplayWorld, Path, GoOn], tuple[int, Table]]
-"""Runs a config in a recorded world until its end or ``GoOn`` returns False. It may write
-into the folder, and returns the number of ticks and the table at the end."""
+"""Runs a configuration in a recorded world until the end of the record, or until ``GoOn`` returns
+False. It may write into the folder. It returns the number of ticks and the table at the end."""
 
 
 def by_loop(config: RunConfig, world: ReplayWorld, folder: Path, go_on: GoOn) -> tuple[int, Table]:
-    """Run a config in a recorded world without ROS; a ``Runner``."""
+    """Run a configuration in a recorded world without ROS; a ``Runner``."""
     loop = Loop(config, world)
     while not world.over and go_on(loop.now):
         loop.tick(world)
@@ -280,13 +285,13 @@ def replay(
     """Replay a bag.
 
     Args:
-        bag: an open one.
-        run: what runs the config.
-        rate: times real time; without a limit for 0.
-        go_on: receives how many ticks are done; returns whether to go on.
+        bag: an open bag.
+        run: the function that runs the configuration.
+        rate: speed as a multiple of real time; 0 for no limit.
+        go_on: called with the number of ticks so far; returns whether to continue.
 
     Raises:
-        BagError: the bag does not hold all that determines the run.
+        BagError: the bag does not contain everything that determines the run.
     """
     if bag.run_metadata is None and bag.path.is_file():
         raise BagError(
@@ -302,13 +307,13 @@ def replay(
     bag.run_metadata.config(0, None)  # raises if it cannot be replayed
     if bag.table is None:
         raise BagError(f"{bag.path}: the table at its start is not in the bag")
-    ticks_a_cycle = bag.params.gait.ticks
+    ticks_per_cycle = bag.params.gait.ticks
     world = ReplayWorld(bag.legs, bag.ticks(), rate / bag.params.gait.tick_s)
     with tempfile.TemporaryDirectory(prefix="ember_ros_replay_") as name:
         folder = Path(name)
         table_file = folder / "start.npz"
         save_table(table_file, bag.table, bag.params, 0)
-        # The world ends with the record; there are no more cycles than phases.
+        # The number of phases is an upper bound of the cycles; the world ends with the record.
         config = bag.run_metadata.config(bag.phases(), table_file)
         start = time.perf_counter()
         done, table = run(config, world, folder, go_on)
@@ -333,7 +338,7 @@ def replay(
             )
     return Replayed(
         ticks=done,
-        cycles=done / ticks_a_cycle,
+        cycles=done / ticks_per_cycle,
         compared=world.compared,
         unanswered={leg: n for leg, n in world.unanswered.items() if n},
         difference=difference,
@@ -351,12 +356,12 @@ def describe(done: Replayed, tick_s: float) -> list[tuple[str, str]]:
     """Return the result of a replay as pairs of a name and a text.
 
     Args:
-        done: the result.
-        tick_s: tick length of the gait, s.
+        done: the result of the replay.
+        tick_s: duration of a tick, s.
     """
-    faster = done.ticks * tick_s / done.seconds if done.seconds else 0.0
+    speed = done.ticks * tick_s / done.seconds if done.seconds else 0.0
     lines = [
-        ("ticks", f"{done.ticks} ({done.cycles:g} cycles), {faster:.0f} times real time"),
+        ("ticks", f"{done.ticks} ({done.cycles:g} cycles), {speed:.0f} times real time"),
         ("commands", f"{done.compared} compared with the record"),
     ]
     lines += [(leg, f"{n} ticks without a recorded command") for leg, n in done.unanswered.items()]
