@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
-
 from ember_ros.errors import TableError, UpdateError
 from ember_ros.params import Rate
 from leg_node.shared import Changes, SharedTable, UpdateBatch
@@ -22,15 +20,16 @@ MAX_RUNS_PER_LEG = 10_000
 """Runs of one leg that are remembered; pushes of further ones are refused."""
 MAX_TARGET = 1e12
 """Greatest absolute value of a target: with greater ones, sums of values may overflow."""
-_LIFE_SHIFT, _LIFE_BITS = 40, 22
+MAX_LIFE = 2**22 - 1
+"""Greatest number of a life, so that a version is a 64-bit integer."""
+_LIFE_SHIFT = 40
 
 
 class DurableTable(SharedTable):
     """A ``SharedTable`` that writes every push to a store before it takes it.
 
-    Versions are ``life << 40 | counter``. The life is drawn at random by each process, so that a
-    leg's version of an earlier process is never taken for one of this process, whatever any clock
-    says.
+    Versions are ``life << 40 | counter``. Each process draws its life at random, so that a leg's
+    version of an earlier process is not taken for one of this process, whatever any clock says.
     """
 
     def __init__(
@@ -41,6 +40,7 @@ class DurableTable(SharedTable):
         cells: str,
         rate: Rate,
         sync_every: int,
+        life: int,
         store: TableStore | None = None,
     ) -> None:
         """Start from ``table``, which is owned from now on.
@@ -51,9 +51,10 @@ class DurableTable(SharedTable):
             cells: SHA-256 that each push must carry.
             rate: bounds of the learning rate.
             sync_every: ticks per epoch.
+            life: number of this process, 1 to ``MAX_LIFE``.
             store: where pushes are written to; None if nothing is to be durable.
         """
-        self._life = 1 + secrets.randbelow(2**_LIFE_BITS - 1)
+        self._life = life
         super().__init__(
             table, legs=legs, cells=cells, rate=rate, version=self._life << _LIFE_SHIFT
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import secrets
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +22,7 @@ from ember_ros.spinning import node_main
 from ember_ros.throttle import Throttle
 from leg_node import calls
 from leg_node.assembly import empty_table, numbers_of
-from leg_node.durable_table import DurableTable
+from leg_node.durable_table import MAX_LIFE, DurableTable
 from leg_node.store import Stored, TableStore
 from leg_node.table import Table
 from leg_node.table_file import describe_differences, load_table, save_table
@@ -81,6 +82,7 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
                 cells=cells,
                 rate=numbers.rate,
                 sync_every=numbers.sync_every,
+                life=1 + secrets.randbelow(MAX_LIFE),
                 store=self._store,
             )
             if stored is not None:

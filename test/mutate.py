@@ -686,6 +686,7 @@ def read_store(file: Path) -> None:
                 cells=cells_sha256(PARAMS),
                 rate=PARAMS.walk.rate,
                 sync_every=PARAMS.walk.sync_every,
+                life=1,
                 store=store,
             ).resume(stored)
     finally:

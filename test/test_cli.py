@@ -29,6 +29,7 @@ from ember_ros.run import EARLIER, SUMMARY, TABLE
 from ember_ros.spinning import Stop
 from leg_node.table_file import load_table
 from support.command import EMBER, child, ember, environment, nobody_reads, started
+from support.needs import needs_bullet
 from support.waiting import DEADLINE_S, until
 
 pytest.importorskip("pybullet", reason="every command here builds a world")
@@ -141,6 +142,16 @@ def test_baselines_learn_only_when_asked(run: Run, policy: str) -> None:
     empty, filled = (load_table(Path(o, TABLE), Params())[0].visits.sum() for o in "ab")
     assert empty == 0
     assert filled > 4 * 60
+
+
+@needs_bullet
+def test_a_policy_of_one_s_own_is_named_by_its_path(run: Run) -> None:
+    """And learns, as one that reads the table does; a wrong name lists the right ones."""
+    run("walk", "--cycles", 1, "--on", "loop", "--policy", "leg_node.policy.EpsilonGreedy")
+    summary = json.loads(Path("out/walk", SUMMARY).read_text())
+    assert summary["policy"] == "leg_node.policy.EpsilonGreedy"
+    assert summary["learning"] is True
+    assert "'learned', 'scripted', 'random'" in run("walk", "--policy", "best", code=2)
 
 
 def test_an_earlier_run_is_not_replaced_unasked(run: Run) -> None:

@@ -593,7 +593,7 @@ def test_a_run_is_drawn_as_ember_draws_it(tmp_path: Path) -> None:
     """A Figure with the two panels, of which a notebook can ask the picture."""
     from matplotlib.figure import Figure
 
-    for world, title in ((Ground, "On the body"), (Bench, "On the trainer")):
+    for world, title in ((Ground, "Walker: path"), (Bench, "Trainer")):
         figure = walked(2, world=world).plot()
         assert isinstance(figure, Figure)
         assert len(figure.axes) == 2

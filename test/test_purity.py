@@ -35,10 +35,11 @@ LAZY = {
     "ember_ros.run",
     "ember_ros.cli.replay",
     "ember_ros.cdr",
+    "ember_ros.timers",
     "ember_ros.topics",
 }
 # Measures ROS itself.
-MEASURES = {"ember_ros.bench"}
+MEASURES = {"ember_ros.bench", "ember_ros.chaos"}
 BULLET = {"sim_node.bullet", "sim_node.trainer", "sim_node.walker"}
 
 # What counts as ROS: the client library, and every package of messages or tools around it.

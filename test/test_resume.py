@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from ember_ros.cli.run import config_from_options
 from ember_ros.errors import ParameterError, TableError
 from ember_ros.loop import Loop
 from ember_ros.params import Params, replace
@@ -122,3 +123,21 @@ def test_a_seed_outside_the_integer_range_is_refused(seed: int) -> None:
     """A node parameter is a signed 64-bit integer."""
     with pytest.raises(ParameterError, match=f"seed = {seed}: 0 to {MAX_INTEGER}"):
         RunConfig("walker", 1, seed=seed)
+
+
+def test_a_changed_parameter_is_checked_against_the_resumed_run_s_own(tmp_path: Path) -> None:
+    """Not against the defaults, which the run does not have."""
+    params = replace(EXPLORING, {"trainer.stop_high": 0.7})
+    run_summary(tmp_path, RunConfig("trainer", 1, params=params), "loop")
+    config = config_from_options(
+        "trainer",
+        cycles=1,
+        seed=0,
+        params_files=(),
+        settings=("trainer.stop_low=0.6",),
+        table=None,
+        resume=tmp_path,
+        learning=None,
+        policy="learned",
+    )
+    assert config.params == replace(params, {"trainer.stop_low": 0.6})

@@ -45,6 +45,14 @@ class _Folder(click.Path):
         return super().convert(value, param, ctx)
 
 
+class _ChoiceOrPath(click.Choice):  # type: ignore[type-arg, unused-ignore]
+    """One of some names, or the dotted path of a class."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return the name or the path; whether there is such a class is seen when it is made."""
+        return value if "." in value else super().convert(value, param, ctx)
+
+
 class FiniteRange(click.FloatRange):
     """A number in a range; ``nan`` and ``inf`` are refused."""
 
@@ -96,7 +104,9 @@ def shared_with_nodes(flag: str, *, also: str = "", **other: Any) -> Decorator:
     if option.path:
         arguments["type"] = FILE
     elif option.choices:
-        arguments["type"] = click.Choice(option.choices)
+        arguments["type"] = (
+            _ChoiceOrPath(option.choices) if option.dotted else click.Choice(option.choices)
+        )
     elif isinstance(option.default, float):
         arguments["type"] = FiniteRange(float(MINIMA[name]))
     return click.option(flag, **{**arguments, **other})

@@ -118,14 +118,20 @@ def config_from_options(
         ParameterError: an option or a parameter is wrong, or the run cannot be resumed.
         TableError: the table of the run to resume cannot be read.
     """
-    start_cycle, params = 0, load_params(*params_files, settings=settings)
-    if resume is not None:
+    start_cycle = 0
+    if resume is None:
+        params = load_params(*params_files, settings=settings)
+    else:
         if table is not None:
             raise ParameterError("--resume uses the table of its run; leave --table out")
         table = resume / TABLE
         recover(resume)
         start_cycle, own_params = resume_point(resume, world)
-        params = params if params_files else changed(own_params, settings)
+        params = (
+            load_params(*params_files, settings=settings)
+            if params_files
+            else changed(own_params, settings)
+        )
     return RunConfig(
         world,
         cycles,
