@@ -19,8 +19,12 @@ from leg_node.table import Table
 from leg_node.table_file import load_table
 
 
-def act(shared: SharedTable, leg: LegModule, sense: LegSense, beat: Beat) -> LegCommand:
-    """Let a leg have its tick, between the two ends of its epoch."""
+def tick_leg(shared: SharedTable, leg: LegModule, sense: LegSense, beat: Beat) -> LegCommand:
+    """Run one tick of a leg.
+
+    Pull if an epoch begins; let the leg learn and act; push if an epoch ends. ``LegNode`` does the
+    same over services.
+    """
     upto = leg.copy.pull_due(sense.tick)
     if upto is not None:
         leg.copy.apply(shared.pull(leg.copy.version, upto), upto)
@@ -81,9 +85,10 @@ class Loop:
         senses = self.world.observe()
         beat = self.beats.at(self.now, senses)
         commands = [
-            act(self.shared, leg, sense, beat) for leg, sense in zip(self.legs, senses, strict=True)
+            tick_leg(self.shared, leg, sense, beat)
+            for leg, sense in zip(self.legs, senses, strict=True)
         ]
-        transitions = [leg.transition for leg in self.legs]
+        transitions = [leg.last_transition for leg in self.legs]
         for observer in observers:
             observer.tick(beat, senses, commands, self.world.body(), transitions)
         self.world.step(beat, commands)

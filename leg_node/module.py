@@ -41,16 +41,17 @@ class LegModule:
         self.learning = learning
         self.shared = shared
         self._task, self._learner, self._policy = task, learner, policy
-        self.transition = task.nothing_to_credit(-1, -1, False)
-        """What happened in the tick that ended, as of the last call of ``tick``."""
+        self.last_transition = task.nothing_to_credit(-1, -1, False)
+        """What happened in the tick that ended, as of the last call of ``tick``; none is credited
+        before the first call."""
 
     def tick(self, sense: LegSense, beat: Beat) -> LegCommand:
         """Take the senses and the beat of one tick, learn from the tick before, and act.
 
-        What was learnt from is in ``transition`` afterwards.
+        What was learnt from is in ``last_transition`` afterwards.
         """
         perception = self._task.perceive(sense, beat)
-        self.transition = self._learn(perception.transition)
+        self.last_transition = self._learn(perception.transition)
         return self._task.act(
             perception, self._policy.choose(sense, perception.gait, perception.state)
         )

@@ -262,7 +262,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
     def _publish(self, command: LegCommand) -> None:
         self._answer = (
             command.tick,
-            self._transitions.pack(self.module.transition),
+            self._transitions.pack(self.module.last_transition),
             self._commands.pack(command),
         )
         self._publish_answer()

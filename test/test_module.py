@@ -206,7 +206,7 @@ def transitions(
     told = []
 
     def look(sense: LegSense, command: LegCommand) -> None:
-        told.append((leg.transition, sense, command))
+        told.append((leg.last_transition, sense, command))
 
     world = FakeWorld((leg.leg,), PARAMS, falls_at=falls_at)
     live(leg, ticks, world=world, missed=missed, seen=look)
@@ -246,7 +246,7 @@ def test_the_error_is_the_target_less_the_value_before() -> None:
     world = FakeWorld((TRAINER_LEG,), PARAMS)
     for tick in range(200):
         live(leg, 1, world=world, begin=tick)
-        did = leg.transition
+        did = leg.last_transition
         if did.credited:
             believed = before.cell(did.state * 9 + did.action)[0]
             best = max(before.row(did.next_state))
@@ -332,7 +332,7 @@ def test_the_error_is_of_the_last_update_that_was_made() -> None:
     """Where a learner updates late, 0 while it waits, then that of what it updates."""
     leg, _ = remembering()
     errors = []
-    live(leg, 4, seen=lambda sense, command: errors.append(leg.transition.td_error))
+    live(leg, 4, seen=lambda sense, command: errors.append(leg.last_transition.td_error))
     assert errors == [0.0, 0.0, 1.0, 1.0]
 
 

@@ -40,7 +40,7 @@ def test_exploration_goes_on_where_it_was(tmp_path: Path) -> None:
         loop, actions = Loop(config, FakeWorld(("leg",), EAGER)), set()
         for _ in range(10):
             loop.tick()
-            actions.add(loop.legs[0].transition.action)
+            actions.add(loop.legs[0].last_transition.action)
         chosen.append(actions - {-1})
     assert epsilon_at(EAGER.train, 20) == 0.0
     assert len(chosen[0]) > 3

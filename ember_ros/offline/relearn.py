@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from ember_ros.bag.reader import Bag
 from ember_ros.errors import BagError, ParameterError
-from ember_ros.loop import act, flush
+from ember_ros.loop import flush, tick_leg
 from ember_ros.params import Params, as_dict, cells_sha256, replace
 from ember_ros.params_file import dump_params
 from ember_ros.signals import LegCommand, LegSense
@@ -134,7 +134,7 @@ def relearn(
                             incomplete.add((tick.tick, leg.leg))
                             continue
                         policy.action = actions.of(leg.leg, command)
-                        act(shared, leg, sense, tick.beat)
+                        tick_leg(shared, leg, sense, tick.beat)
                     ticks += 1
                     fall_count, last = tick.body.falls, tick.tick
                     if not go_on(ticks, falls + fall_count):
