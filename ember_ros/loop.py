@@ -25,7 +25,7 @@ def tick_leg(shared: SharedTable, leg: LegModule, sense: LegSense, beat: Beat) -
     Pull if an epoch begins; let the leg learn and act; push if an epoch ends. ``LegNode`` does the
     same over services.
     """
-    upto = leg.copy.pull_due(sense.tick)
+    upto = leg.copy.epoch_to_pull(sense.tick)
     if upto is not None:
         leg.copy.apply(shared.pull(leg.copy.version, upto), upto)
     command = leg.tick(sense, beat)
@@ -42,9 +42,9 @@ def flush(shared: SharedTable, leg: LegModule, last_tick: int) -> None:
 
 
 def _push(shared: SharedTable, leg: LegModule) -> None:
-    while (push := leg.copy.push_due()) is not None:
-        shared.push(push)
-        leg.copy.acknowledged(push)
+    while (batch := leg.copy.oldest_unacknowledged()) is not None:
+        shared.push(batch)
+        leg.copy.acknowledged(batch)
 
 
 class Loop:

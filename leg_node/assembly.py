@@ -73,7 +73,7 @@ def make_discretizer(params: Params) -> Discretizer:
             f"neighbours {shown(alike)}; as many numbers of bins, 1 or more each, as bits would "
             "be right"
         )
-    cells = states_of(made) * _tables(params) * len(params.leg.knee_speeds)
+    cells = states_of(made) * _table_count(params) * len(params.leg.knee_speeds)
     if cells > MAX_CELLS:
         raise ParameterError(
             f"parts.discretizer and leg.knee_speeds make a table of {states_of(made)} states "
@@ -83,7 +83,7 @@ def make_discretizer(params: Params) -> Discretizer:
     return made
 
 
-def _tables(params: Params) -> int:
+def _table_count(params: Params) -> int:
     """Return how many tables the learner keeps, one behind the other."""
     return int(getattr(parts.find(params.parts.learner, "parts.learner"), "tables", 1))
 
@@ -95,7 +95,7 @@ def empty_table(params: Params) -> Table:
         ParameterError: a part cannot be used.
     """
     states = states_of(make_discretizer(params))
-    return Table(states * _tables(params), len(params.leg.knee_speeds))
+    return Table(states * _table_count(params), len(params.leg.knee_speeds))
 
 
 def make_task(params: Params, leg: str) -> LegTask:
@@ -204,7 +204,7 @@ def _make_learner(
     states, ticks = states_of(discretizer), params.gait.ticks
     estimates = [
         parts.make(params, "value", part, discretizer, numbers, ticks)
-        for part in table.parts(_tables(params))
+        for part in table.split(_table_count(params))
     ]
     shape, rng = (states, table.actions), generator(seed, LEARNER + position)
     learner: Learner = parts.make(params, "learner", estimates, numbers, shape, rng)

@@ -316,7 +316,7 @@ def test_a_learner_of_two_tables_learns_in_both() -> None:
     )
     for _ in range(96):
         loop.tick()
-    one, two = loop.finish().parts(2)
+    one, two = loop.finish().split(2)
     assert one.visits.sum() + two.visits.sum() == 4 * 95
     assert min(one.visits.sum(), two.visits.sum()) > 4 * 95 / 3
     leg = loop.legs[0]
@@ -335,14 +335,14 @@ def test_a_learner_of_two_tables_learns_in_both() -> None:
 def test_one_part_is_the_table_itself() -> None:
     """No copy, no view."""
     table = Table(4, 3)
-    assert table.parts(1) == [table]
+    assert table.split(1) == [table]
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_parts_lie_one_behind_the_other_in_one_memory(count: int) -> None:
     """What is written by the whole is read by a part and the other way round, cell by cell."""
     table, states = Table(12, 3), 12 // count
-    shares = table.parts(count)
+    shares = table.split(count)
     assert [(part.states, part.actions, len(part)) for part in shares] == [
         (states, 3, 3 * states)
     ] * count
@@ -350,10 +350,10 @@ def test_parts_lie_one_behind_the_other_in_one_memory(count: int) -> None:
         for state in range(states):
             for action in range(3):
                 cell = (n * states + state) * 3 + action
-                table.put(cell, float(cell), cell)
-                assert part.cell(state * 3 + action) == (float(cell), cell)
-                part.put(state * 3 + action, -float(cell), 2 * cell)
-                assert table.cell(cell) == (-float(cell), 2 * cell)
+                table.write(cell, float(cell), cell)
+                assert part.read(state * 3 + action) == (float(cell), cell)
+                part.write(state * 3 + action, -float(cell), 2 * cell)
+                assert table.read(cell) == (-float(cell), 2 * cell)
             assert part.row(state) == table.row(n * states + state)
             assert np.shares_memory(part.values, table.values)
             assert np.shares_memory(part.visits, table.visits)
@@ -364,7 +364,7 @@ def test_what_replaces_the_whole_is_seen_by_its_parts() -> None:
     table, other = Table(4, 2), Table(4, 2)
     other.values[:] = range(8)
     discretizer: Discretizer = Shaped(PARAMS)
-    reads = [TableValues(part, discretizer, PARAMS.walk, 32) for part in table.parts(2)]
+    reads = [TableValues(part, discretizer, PARAMS.walk, 32) for part in table.split(2)]
     table.copy_from(other)
     assert [each.q_values(0, 1) for each in reads] == [[2.0, 3.0], [6.0, 7.0]]
 
@@ -375,4 +375,4 @@ def test_a_learner_of_three_tables_has_all_states_in_each(
     """The shared table is as many times as long."""
     monkeypatch.setattr(DoubleQ, "tables", 3)
     table = empty_table(named(discretizer="Shaped", learner="DoubleQ"))
-    assert [part.states for part in table.parts(3)] == [6, 6, 6]
+    assert [part.states for part in table.split(3)] == [6, 6, 6]

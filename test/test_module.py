@@ -157,7 +157,7 @@ def test_with_learning_off_the_table_never_changes() -> None:
     frozen = module(seed=3, table=table, learning=False)
     live(frozen, 300, world=FakeWorld((TRAINER_LEG,), PARAMS, falls_at={40}))
     assert frozen.copy.table.sha256() == learnt.copy.table.sha256()
-    assert frozen.copy.push_due() is None
+    assert frozen.copy.oldest_unacknowledged() is None
 
 
 @pytest.mark.parametrize("policy", ["scripted", "random"])
@@ -248,7 +248,7 @@ def test_the_error_is_the_target_less_the_value_before() -> None:
         live(leg, 1, world=world, begin=tick)
         did = leg.last_transition
         if did.credited:
-            believed = before.cell(did.state * 9 + did.action)[0]
+            believed = before.read(did.state * 9 + did.action)[0]
             best = max(before.row(did.next_state))
             assert did.td_error == did.reward + PARAMS.walk.gamma * best - believed
         before.copy_from(leg.copy.table)
@@ -322,7 +322,7 @@ def test_a_new_life_ends_the_old_one_first() -> None:
     leg, _ = remembering()
     live(leg, 4)
     leg.reset(3, "another life")
-    push = leg.copy.push_due()
+    push = leg.copy.oldest_unacknowledged()
     assert push is not None
     assert push.run == "run"
     assert [update.cell for update in push.updates] == [1, 2, 3]
@@ -453,9 +453,9 @@ def test_a_leg_that_shares_keeps_its_pairs() -> None:
     leg, due = module("front_right", shared=True), []
     live(leg, TICKS - 1)
     leg.copy.close_epoch(TICKS - 2)
-    assert leg.copy.push_due() is None
+    assert leg.copy.oldest_unacknowledged() is None
     leg.copy.close_epoch(TICKS - 1)
-    due.append(leg.copy.push_due())
+    due.append(leg.copy.oldest_unacknowledged())
     assert due[0] is not None
     assert (due[0].leg, due[0].epoch) == (1, 0)
     assert [update.tick for update in due[0].updates] == list(range(1, TICKS - 1))

@@ -136,15 +136,15 @@ def test_the_table_is_read_as_it_is_now() -> None:
     table = Table(1, 2)
     policy = over(table, Learning(epsilon_start=0.0, epsilon_end=0.0))
     for best in (0, 1, 0):
-        table.put(best, 1.0, 1)
-        table.put(1 - best, 0.0, 1)
+        table.write(best, 1.0, 1)
+        table.write(1 - best, 0.0, 1)
         assert policy.choose(sense(), STEP, 0) == best
 
 
 def test_exploration_goes_on_from_the_cycles_that_were_learnt_before() -> None:
     """A leg that starts at cycle 3 of a schedule explores as one that lived through three."""
     table, learning = Table(1, 2), Learning(epsilon_start=1.0, epsilon_end=0.0, epsilon_cycles=3)
-    table.put(1, 1.0, 1)
+    table.write(1, 1.0, 1)
     later = over(table, learning, start_cycle=3)
     assert {later.choose(sense(tick), STEP, 0) for tick in range(2 * TICKS)} == {1}
     fresh = over(table, learning)
