@@ -12,7 +12,7 @@ from ember_ros.params import cells_sha256
 from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, LegCommand, LegSense
 from ember_ros.worlds import World, make_world
-from leg_node.assembly import empty_table, make_leg, numbers_of
+from leg_node.assembly import empty_table, learning_params_of, make_leg
 from leg_node.module import LegModule
 from leg_node.shared import SharedTable
 from leg_node.table import Table
@@ -59,9 +59,9 @@ class Loop:
         """
         params = config.params
         table = load_table(config.table, params)[0] if config.table else empty_table(params)
-        numbers = numbers_of(params, config.stage)
+        learning_params = learning_params_of(params, config.stage)
         self.shared = SharedTable(
-            table, legs=len(config.legs), cells=cells_sha256(params), rate=numbers.rate
+            table, legs=len(config.legs), cells=cells_sha256(params), rate=learning_params.rate
         )
         self.legs = [
             make_leg(

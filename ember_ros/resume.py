@@ -55,12 +55,12 @@ def start_messages(config: RunConfig) -> list[str]:
     differences = describe_differences(config.table, about, config.params)
     if differences is not None:
         lines.append(differences)
-    numbers = config.params.walk if config.stage == "walk" else config.params.train
-    epsilon = epsilon_at(numbers, config.start_cycle)
+    learning_params = config.params.walk if config.stage == "walk" else config.params.train
+    epsilon = epsilon_at(learning_params, config.start_cycle)
     share = f"{100 * epsilon:.3g} %"
     if config.start_cycle:
         lines.append(f"continuing from cycle {config.start_cycle}, exploring {share} at first")
-    elif config.policy == "learned" and epsilon > numbers.epsilon_end:
+    elif config.policy == "learned" and epsilon > learning_params.epsilon_end:
         lines.append(
             f"starting from {config.table} at cycle 0: {share} of the actions are random at "
             "first, which may undo what was learnt; --resume RUN continues a run"

@@ -51,5 +51,5 @@ class RunConfig:
 
     @property
     def stage(self) -> str:
-        """Return which learning numbers hold."""
+        """Return which learning parameters hold."""
         return stage_of(self.world)

@@ -9,7 +9,7 @@ from typing import Any
 
 from ember_ros import parts
 from ember_ros.errors import ParameterError, shown
-from ember_ros.params import MAX_CELLS, TRAINER_LEG, Learning, Params, cells_sha256
+from ember_ros.params import MAX_CELLS, TRAINER_LEG, LearningParams, Params, cells_sha256
 from ember_ros.randomness import LEARNER, generator
 from leg_node.discretizer import Discretizer, states_of
 from leg_node.learner import Learner
@@ -24,8 +24,8 @@ BLIND = ("scripted", "random")
 """Policies that choose without the table."""
 
 
-def numbers_of(params: Params, stage: str) -> Learning:
-    """Return the learning numbers of a stage.
+def learning_params_of(params: Params, stage: str) -> LearningParams:
+    """Return the learning parameters of a stage.
 
     Raises:
         ParameterError: there is no such stage.
@@ -137,7 +137,7 @@ def make_leg(
     Args:
         params: every number, and which parts.
         leg: one of ``robot.legs``, or ``TRAINER_LEG``.
-        stage: which learning numbers hold, ``train`` or ``walk``.
+        stage: which learning parameters hold, ``train`` or ``walk``.
         seed: of the run; each leg draws from its own generator.
         policy: ``learned``, ``scripted``, ``random``, the dotted path of one, or one.
         learning: whether the table changes.
@@ -149,7 +149,7 @@ def make_leg(
     Raises:
         ParameterError: there is no such leg, stage, policy or part.
     """
-    numbers = numbers_of(params, stage)
+    learning_params = learning_params_of(params, stage)
     position = position_of(params, leg)
     task = make_task(params, leg)
     reads = isinstance(policy, str) and policy not in BLIND
@@ -159,13 +159,13 @@ def make_leg(
         leg=position,
         run=run,
         cells=cells_sha256(params),
-        rate=numbers.rate,
-        sync_every=numbers.sync_every if shared else 0,
+        rate=learning_params.rate,
+        sync_every=learning_params.sync_every if shared else 0,
     )
-    learner = _make_learner(params, numbers, task.discretizer, copy.table, seed, position)
+    learner = _make_learner(params, learning_params, task.discretizer, copy.table, seed, position)
     if isinstance(policy, str):
         rng = generator(seed, position)
-        given = (params, numbers, learner.q_values, rng, start_cycle)
+        given = (params, learning_params, learner.q_values, rng, start_cycle)
         made: Policy = parts.build(
             _policy_of(policy), "policy", f"policy = {shown(policy)}", *given
         )
@@ -195,7 +195,7 @@ def _policy_of(name: str) -> Any:
 
 def _make_learner(
     params: Params,
-    numbers: Learning,
+    learning_params: LearningParams,
     discretizer: Discretizer,
     table: Table,
     seed: int,
@@ -203,9 +203,9 @@ def _make_learner(
 ) -> Learner:
     states, ticks = states_of(discretizer), params.gait.ticks
     estimates = [
-        parts.make(params, "value", part, discretizer, numbers, ticks)
+        parts.make(params, "value", part, discretizer, learning_params, ticks)
         for part in table.split(_table_count(params))
     ]
     shape, rng = (states, table.actions), generator(seed, LEARNER + position)
-    learner: Learner = parts.make(params, "learner", estimates, numbers, shape, rng)
+    learner: Learner = parts.make(params, "learner", estimates, learning_params, shape, rng)
     return learner

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ember_ros.params import Learning
+from ember_ros.params import LearningParams
 from ember_ros.signals import TDUpdate, Transition
 from leg_node.value import ValueEstimate
 
@@ -20,10 +20,10 @@ from leg_node.value import ValueEstimate
 class Learner(Protocol):
     """Turns transitions into updates.
 
-    Made with ``(estimates, numbers, shape, rng)``: one value estimate for each of its tables; the
-    learning numbers of the stage; states and actions of one table; a generator of its own. A class
-    that sets ``tables`` to more than 1 (double Q-learning has two) is given so many, one behind the
-    other in one table: cell ``(n * states + state) * actions + action``.
+    Made with ``(estimates, learning_params, shape, rng)``: one value estimate for each of its
+    tables; the learning parameters of the stage; states and actions of one table; a generator of
+    its own. A class that sets ``tables`` to more than 1 (double Q-learning has two) is given so
+    many, one behind the other in one table: cell ``(n * states + state) * actions + action``.
     """
 
     def q_values(self, tick: int, state: int) -> list[float]:
@@ -51,14 +51,14 @@ class QLearning:
     def __init__(
         self,
         estimates: Sequence[ValueEstimate],
-        numbers: Learning,
+        learning_params: LearningParams,
         shape: tuple[int, int],
         rng: np.random.Generator,
     ) -> None:
-        """Learn by the discount ``numbers.gamma``."""
+        """Learn by the discount ``learning_params.gamma``."""
         (estimate,) = estimates
         self.q_values = estimate.q_values
-        self._gamma = numbers.gamma
+        self._gamma = learning_params.gamma
         self._actions = shape[1]
 
     def learn(self, transition: Transition) -> Iterable[TDUpdate]:

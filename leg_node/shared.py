@@ -80,7 +80,8 @@ class SharedTable:
         """
         self.table = table
         self.version = version
-        self.learning = True
+        self.merges_pushes = True
+        """Whether pushes are merged; they are dropped otherwise."""
         self._legs, self._cells, self._rate = legs, cells, rate
         self._changed: Ints = np.full(len(table), version, dtype=np.int64)
         self._answer: tuple[tuple[int, int], Changes] | None = None
@@ -104,7 +105,7 @@ class SharedTable:
         runs[batch.run] = batch.epoch
         while len(runs) > MAX_RUNS:
             runs.pop(next(iter(runs)))
-        if self.learning:
+        if self.merges_pushes:
             self._pending.setdefault(batch.epoch, []).append(batch)
             if len(self._pending) > MAX_PENDING:
                 self.merge(min(self._pending))

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ember_ros.params import Learning
+from ember_ros.params import LearningParams
 from leg_node.discretizer import Discretizer
 from leg_node.table import Floats, Table
 
@@ -18,8 +18,8 @@ from leg_node.table import Floats, Table
 class ValueEstimate(Protocol):
     """The values of a state's actions.
 
-    Made with ``(table, discretizer, numbers, ticks)``: the table to read, now and later; what its
-    states mean; the learning numbers of the stage; ticks of a cycle.
+    Made with ``(table, discretizer, learning_params, ticks)``: the table to read, now and later;
+    what its states mean; the learning parameters of the stage; ticks of a cycle.
     """
 
     def q_values(self, tick: int, state: int) -> list[float]:
@@ -28,18 +28,19 @@ class ValueEstimate(Protocol):
 
 
 def paper_or_smoothed(
-    table: Table, discretizer: Discretizer, numbers: Learning, ticks: int
+    table: Table, discretizer: Discretizer, learning_params: LearningParams, ticks: int
 ) -> ValueEstimate:
-    """Return ``SmoothedValues`` where the numbers ask for any of it, ``TableValues`` otherwise."""
-    kind = SmoothedValues if numbers.smooth > 0.0 or numbers.prior > 0.0 else TableValues
-    return kind(table, discretizer, numbers, ticks)
+    """Return ``SmoothedValues`` if ``smooth`` or ``prior`` is set, ``TableValues`` otherwise."""
+    smoothed = learning_params.smooth > 0.0 or learning_params.prior > 0.0
+    kind = SmoothedValues if smoothed else TableValues
+    return kind(table, discretizer, learning_params, ticks)
 
 
 class TableValues:
     """The paper's: the values as they stand in the table."""
 
     def __init__(
-        self, table: Table, discretizer: Discretizer, numbers: Learning, ticks: int
+        self, table: Table, discretizer: Discretizer, learning_params: LearningParams, ticks: int
     ) -> None:
         """Read from ``table``, now and later."""
         self._table = table
@@ -63,17 +64,17 @@ class SmoothedValues:
     """
 
     def __init__(
-        self, table: Table, discretizer: Discretizer, numbers: Learning, ticks: int
+        self, table: Table, discretizer: Discretizer, learning_params: LearningParams, ticks: int
     ) -> None:
         """Read from ``table``, anew every ``smooth_every`` cycles.
 
         Args:
             table: now and later.
             discretizer: ``shape`` and ``neighbours`` of it.
-            numbers: ``smooth`` and its companions.
+            learning_params: ``smooth`` and its companions.
             ticks: of a cycle.
         """
-        self._table, self._numbers = table, numbers
+        self._table, self._learning_params = table, learning_params
         self._shape = (*discretizer.shape, table.actions)
         # The axes as they are worked on: actions first, since they move in long stretches of
         # memory then. The order decides the last bits.
@@ -81,7 +82,7 @@ class SmoothedValues:
         self._order = (last, 0, *range(last - 1, 0, -1))
         like = (*discretizer.neighbours, True)
         self._spread = [n for n, axis in enumerate(self._order) if like[axis]]
-        self._every = numbers.smooth_every * ticks
+        self._every = learning_params.smooth_every * ticks
         self._turn = -1
         self._values: Floats = np.empty((table.states, table.actions))
 
@@ -95,23 +96,23 @@ class SmoothedValues:
         return row
 
     def _read(self) -> None:
-        numbers = self._numbers
+        learning_params = self._learning_params
         values = self._table.values.reshape(self._shape).transpose(self._order)
         visits = self._table.visits.reshape(self._shape).transpose(self._order)
-        near = np.ascontiguousarray(np.minimum(visits, numbers.visits_near), dtype=float)
-        more = np.minimum(visits, numbers.visits_own) - near
+        near = np.ascontiguousarray(np.minimum(visits, learning_params.visits_near), dtype=float)
+        more = np.minimum(visits, learning_params.visits_own) - near
         both = np.empty((2, *near.shape))  # weights, and values by weight
         weight, total = both
         weight[:] = near
         np.multiply(near, values, out=total)
         for axis in self._spread:
-            _spread(both, axis + 1, numbers.smooth)
+            _spread(both, axis + 1, learning_params.smooth)
         weight += more
         total += more * values
         known = _sum(weight)
         state = np.divide(_sum(total), known, out=np.zeros_like(known), where=known > 0.0)
-        total += numbers.prior * (state - numbers.pessimism)
-        weight += numbers.prior
+        total += learning_params.prior * (state - learning_params.pessimism)
+        weight += learning_params.prior
         believed = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0.0)
         back: Floats = believed.transpose(np.argsort(self._order))
         self._values = back.reshape(self._table.states, self._table.actions)

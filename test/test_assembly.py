@@ -13,7 +13,7 @@ import pytest
 from ember_ros import parts
 from ember_ros.errors import ParameterError
 from ember_ros.loop import Loop
-from ember_ros.params import TRAINER_LEG, Learning, Params, replace
+from ember_ros.params import TRAINER_LEG, LearningParams, Params, replace
 from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, LegSense, TDUpdate, Transition
 from leg_node.assembly import empty_table, make_discretizer, make_leg
@@ -79,13 +79,13 @@ class DoubleQ:
     def __init__(
         self,
         estimates: Sequence[ValueEstimate],
-        numbers: Learning,
+        learning_params: LearningParams,
         shape: tuple[int, int],
         rng: np.random.Generator,
     ) -> None:
         """Take two estimates."""
         self._one, self._two = estimates
-        self._gamma, (self._states, self._actions), self._rng = numbers.gamma, shape, rng
+        self._gamma, (self._states, self._actions), self._rng = learning_params.gamma, shape, rng
 
     def q_values(self, tick: int, state: int) -> list[float]:
         """Return the sums."""
@@ -110,10 +110,15 @@ class Fifth:
     """A policy of one's own: always the fifth speed; it keeps what it was made with."""
 
     def __init__(
-        self, params: Params, numbers: Learning, q_values: Any, rng: Any, start_cycle: int
+        self,
+        params: Params,
+        learning_params: LearningParams,
+        q_values: Any,
+        rng: Any,
+        start_cycle: int,
     ) -> None:
         """Keep what it was made with."""
-        self.made_with = (numbers, q_values(0, 0), start_cycle)
+        self.made_with = (learning_params, q_values(0, 0), start_cycle)
 
     def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
         """Return the fifth."""

@@ -96,7 +96,9 @@ class Chosen:
 
     actions: dict[int, list[int]]
 
-    def __init__(self, params: Params, numbers: Any, q_values: Any, rng: Any, start: int) -> None:
+    def __init__(
+        self, params: Params, learning_params: Any, q_values: Any, rng: Any, start: int
+    ) -> None:
         self._rng, self._most = rng, len(params.leg.knee_speeds)
 
     def choose(self, sense: LegSense, gait: Any, state: int) -> int:

@@ -70,7 +70,7 @@ def test_a_leg_is_q_learning() -> None:
     """400 ticks are one-step Q-learning, written here a second time from senses and commands."""
     leg, plain = module(seed=5), empty_table(PARAMS)
     partition, rewarder = PaperDiscretizer(PARAMS), PaperReward(PARAMS)
-    gait, numbers = PlainGait(PARAMS), PARAMS.walk
+    gait, learning_params = PlainGait(PARAMS), PARAMS.walk
     before: list[tuple[int, int, bool]] = []
 
     def learn(sense: LegSense, command: LegCommand) -> None:
@@ -78,8 +78,10 @@ def test_a_leg_is_q_learning() -> None:
         state = partition.index(sense, stance)
         if before:
             old_state, old_action, old_stance = before.pop()
-            target = paid(rewarder, sense, old_stance) + numbers.gamma * max(plain.row(state))
-            plain.update(old_state * 9 + old_action, target, numbers.rate)
+            target = paid(rewarder, sense, old_stance) + learning_params.gamma * max(
+                plain.row(state)
+            )
+            plain.update(old_state * 9 + old_action, target, learning_params.rate)
         before.append((state, SPEEDS.index(command.knee_speed), stance))
         assert leg.copy.table.sha256() == plain.sha256()
 
@@ -168,7 +170,7 @@ def test_policies_without_a_table_are_rewarded_too(policy: str) -> None:
     assert visits(leg) == 99
 
 
-def test_the_stage_decides_the_learning_numbers() -> None:
+def test_the_stage_decides_the_learning_parameters() -> None:
     """With ``train`` the floor and gamma of training hold, with ``walk`` those of walking."""
     other = {"walk.alpha_ceiling": 1.0, "walk.alpha_floor": 1.0, "walk.gamma": 0.0}
     params = replace(PARAMS, other)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ember_ros.loop import Loop
-from ember_ros.params import Learning, Params, replace
+from ember_ros.params import LearningParams, Params, replace
 from ember_ros.randomness import generator
 from ember_ros.run_config import RunConfig
 from ember_ros.signals import TDUpdate, Transition
@@ -35,8 +35,8 @@ class Believed:
 
 def learner() -> SarsaLambda:
     """Return a learner over the chain."""
-    numbers = Learning(gamma=GAMMA)
-    return SarsaLambda([Believed()], numbers, (len(VALUES), ACTIONS), generator(0, 0))
+    learning_params = LearningParams(gamma=GAMMA)
+    return SarsaLambda([Believed()], learning_params, (len(VALUES), ACTIONS), generator(0, 0))
 
 
 def step(tick: int, state: int, action: int, reward: float, next_state: int) -> Transition:

@@ -343,9 +343,9 @@ def test_epochs_that_nobody_pulls_still_count() -> None:
 def test_learning_off_drops_what_is_pushed() -> None:
     """Pushes are acknowledged and named as taken, and change nothing, now or later."""
     table = shared_table()
-    table.learning = False
+    table.merges_pushes = False
     assert table.push(push(0, 0, (0, 1, 3.0)))
-    table.learning = True
+    table.merges_pushes = True
     assert not table.push(push(0, 0, (0, 1, 3.0)))
     assert table.pull(0, 0).cells.tolist() == []
     table.push(push(0, 1, (4, 1, 3.0)))
@@ -355,7 +355,7 @@ def test_learning_off_drops_what_is_pushed() -> None:
 def test_learning_off_keeps_refusing_what_is_wrong() -> None:
     """A malformed push is told so whether or not it would count."""
     table = shared_table()
-    table.learning = False
+    table.merges_pushes = False
     with pytest.raises(UpdateError):
         table.push(push(0, 0, (0, 99, 3.0)))
 
@@ -582,7 +582,7 @@ def test_an_epoch_without_pairs_is_not_pushed() -> None:
 def test_what_the_table_dropped_is_gone_from_the_copy() -> None:
     """With learning off at the table, a leg's copy returns to it with the next pull."""
     machine = Machine(1, 2)
-    machine.shared.learning = False
+    machine.shared.merges_pushes = False
     (copy,) = machine.copies
     for tick in range(2):
         machine.begin(copy, tick)

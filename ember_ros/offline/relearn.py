@@ -18,7 +18,7 @@ from ember_ros.loop import flush, tick_leg
 from ember_ros.params import Params, as_dict, cells_sha256, replace
 from ember_ros.params_file import dump_params
 from ember_ros.signals import LegCommand, LegSense
-from leg_node.assembly import empty_table, make_leg, numbers_of
+from leg_node.assembly import empty_table, learning_params_of, make_leg
 from leg_node.gait import GaitStep
 from leg_node.shared import SharedTable
 from leg_node.table import Table
@@ -111,9 +111,9 @@ def relearn(
         stage = stage or bag.stage
     if table is None:
         table = empty_table(own)
-    numbers = numbers_of(own, stage)
+    learning_params = learning_params_of(own, stage)
     shared = SharedTable(
-        table, legs=len(own.robot.legs), cells=cells_sha256(own), rate=numbers.rate
+        table, legs=len(own.robot.legs), cells=cells_sha256(own), rate=learning_params.rate
     )
     before = int(table.visits.sum())
     ticks = skipped = falls = 0
