@@ -97,7 +97,8 @@ class Transition(NamedTuple):
     """In which the action was chosen, 0 or more; -1 where there is nothing to credit: at the first
     tick, after a reset, or after ticks that were missed."""
     stance: bool
-    """Whether the leg was in stance; False where there is nothing to credit."""
+    """Whether the leg was in stance, as the gait says, whether or not the tick was rewarded as
+    stance; False where there is nothing to credit."""
     action: int
     """Index into ``leg.knee_speeds``; -1 where there is nothing to credit."""
     terms: tuple[tuple[str, float], ...]
@@ -108,8 +109,8 @@ class Transition(NamedTuple):
     next_stance: bool
     """Whether the tick that begins belongs to stance."""
     td_error: float
-    """What the learner's update was worth: its target less the value that was believed before; 0
-    where nothing was learnt."""
+    """Target of the learner's last update less the value of its cell before; with a learner that
+    looks back, of an earlier transition; 0 where nothing was learnt."""
 
     @property
     def credited(self) -> bool:

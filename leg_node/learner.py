@@ -1,6 +1,6 @@
 """What is learnt from a transition: updates of single cells (paper, section VI-C). Pure.
 
-To swap it, write a class with ``q_values``, ``learn`` and ``reset`` and name it as
+To swap it, write a class with ``q_values``, ``learn`` and ``flush`` and name it as
 ``parts.learner``; ``leg_node.sarsa`` is an example. A learner decides targets, and never touches
 the table: a leg applies its updates at once and shares them, and whoever merges them does the same.
 """
@@ -37,10 +37,10 @@ class Learner(Protocol):
         """
         ...
 
-    def reset(self) -> Iterable[TDUpdate]:
-        """Return what is left to be learnt when the chain of transitions breaks, and forget it.
+    def flush(self) -> Iterable[TDUpdate]:
+        """Return the updates that are left when the chain of transitions breaks, and forget them.
 
-        That is where a leg was put down, missed ticks, or ends.
+        It breaks where a leg was put down, missed ticks, or ends.
         """
         ...
 
@@ -68,6 +68,6 @@ class QLearning:
         cell = transition.state * self._actions + transition.action
         return (TDUpdate(tick, cell, transition.reward + self._gamma * best),)
 
-    def reset(self) -> Iterable[TDUpdate]:
+    def flush(self) -> Iterable[TDUpdate]:
         """Return nothing: every transition is learnt from at once."""
         return ()

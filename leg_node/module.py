@@ -58,11 +58,11 @@ class LegModule:
 
     def finish(self) -> None:
         """Learn what the learner still keeps; no tick may follow but after ``reset``."""
-        self._apply_rest()
+        self._flush_learner()
 
     def reset(self, last_tick: int, run: str) -> None:
         """Begin a new life after ``last_tick``: time began anew, what was learnt stays."""
-        self._apply_rest()
+        self._flush_learner()
         self._task.reset()
         self.copy.reset(last_tick, run)
 
@@ -71,18 +71,22 @@ class LegModule:
         return self._task.credit(sense)
 
     def _learn(self, transition: Transition) -> Transition:
-        """Learn from a transition; return it with the error of its update."""
+        """Learn from a transition; return it with the error of the last update, 0 without any.
+
+        With a learner that looks back, that is the update of an earlier transition.
+        """
         if not self.learning:
             return transition
         if not transition.credited:
-            self._apply_rest()
+            # Put down, or ticks missed: the chain of transitions breaks here.
+            self._flush_learner()
             return transition
         error = 0.0
         for update in self._learner.learn(transition):
             error = self.copy.learn(update)
         return transition._replace(td_error=error)
 
-    def _apply_rest(self) -> None:
+    def _flush_learner(self) -> None:
         if self.learning:
-            for update in self._learner.reset():
+            for update in self._learner.flush():
                 self.copy.learn(update)

@@ -48,7 +48,7 @@ class SarsaLambda:
         last = self._waiting[-1]
         return (self._update(self.q_values(last.tick, last.state)[last.action], HORIZON),)
 
-    def reset(self) -> Iterable[TDUpdate]:
+    def flush(self) -> Iterable[TDUpdate]:
         """Return the updates of all that wait; after the last one its best action is taken."""
         updates = []
         while self._waiting:

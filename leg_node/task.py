@@ -84,6 +84,7 @@ class LegTask:
             action: position of the knee speed in ``leg.knee_speeds``.
         """
         sense, gait, leg = perception.sense, perception.gait, self._leg
+        # ticks_to_stance is 0 in stance, so stance itself is included.
         as_stance = gait.ticks_to_stance <= self._lead
         self._pending = _Pending(sense.tick, perception.state, gait.stance, action, as_stance)
         speed = (gait.hip_goal - sense.hip) / self._tick_s

@@ -101,7 +101,7 @@ class DoubleQ:
         cell = (own * self._states + transition.state) * self._actions + transition.action
         return [TDUpdate(transition.tick, cell, transition.reward + self._gamma * best)]
 
-    def reset(self) -> Iterable[TDUpdate]:
+    def flush(self) -> Iterable[TDUpdate]:
         """Return nothing."""
         return []
 

@@ -58,8 +58,8 @@ class Softly(PaperReward):
 
     names = (*PaperReward.names, "softly")
 
-    def terms(self, sense: er.LegSense, stance: bool) -> dict[str, float]:
-        return {**super().terms(sense, stance), "softly": -0.01 * sense.force_peak}
+    def terms(self, sense: er.LegSense, as_stance: bool) -> dict[str, float]:
+        return {**super().terms(sense, as_stance), "softly": -0.01 * sense.force_peak}
 
 
 class Coarse:

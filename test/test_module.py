@@ -283,9 +283,9 @@ class Remembering:
         due, self.waiting = self.waiting, [TDUpdate(transition.tick, transition.tick, 1.0)]
         return due
 
-    def reset(self) -> list[TDUpdate]:
+    def flush(self) -> list[TDUpdate]:
         """Return the update that waits."""
-        self.asked.append("reset")
+        self.asked.append("flush")
         due, self.waiting = self.waiting, []
         return due
 
@@ -310,7 +310,7 @@ def test_what_waits_is_learnt_where_the_chain_breaks() -> None:
     world = FakeWorld((TRAINER_LEG,), PARAMS, falls_at={4})
     live(leg, 7, world=world)
     assert learner.asked == [
-        "reset", "learn 1", "learn 2", "learn 3", "reset", "learn 5", "learn 6",
+        "flush", "learn 1", "learn 2", "learn 3", "flush", "learn 5", "learn 6",
     ]  # fmt: skip
     assert leg.copy.table.visits.nonzero()[0].tolist() == [1, 2, 3, 5]
     leg.finish()

@@ -24,9 +24,9 @@ class Reward:
     def __init__(self, params: Params) -> None:
         self._most = params.leg.knee_speeds[-1]
 
-    def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
+    def terms(self, sense: LegSense, as_stance: bool) -> dict[str, float]:
         terms = {"quiet": 1.0 - abs(sense.knee_speed) / self._most}
-        if stance and sense.contact:
+        if as_stance and sense.contact:
             terms["stands"] = 1.0
         return terms
 
@@ -74,7 +74,7 @@ class DoubleQ:
         cell = (which * states + transition.state) * actions + transition.action
         return (TDUpdate(tick, cell, transition.reward + self._gamma * worth),)
 
-    def reset(self) -> Iterable[TDUpdate]:
+    def flush(self) -> Iterable[TDUpdate]:
         return ()
 
 
