@@ -1,6 +1,6 @@
 """The machine without ROS: the specification of a tick, and the fast way to train.
 
-The graph carries the same values in messages and must end with the same bits.
+The graph carries the same values in messages, and must end with the same bits as this loop.
 """
 
 from __future__ import annotations
@@ -81,7 +81,14 @@ class Loop:
         """The present tick."""
 
     def tick(self, *observers: Observer) -> None:
-        """Run one tick of the whole machine."""
+        """Run one tick of the whole machine.
+
+        1. The world is observed: one sense a leg.
+        2. The oscillator gives the beat.
+        3. Each leg has its tick, in the order of legs: it learns from tick t-1 and acts in tick t.
+        4. Observers are shown the commands of tick t together with the transitions of tick t-1.
+        5. The world steps with all commands.
+        """
         senses = self.world.observe()
         beat = self.beats.at(self.now, senses)
         commands = [
@@ -95,7 +102,10 @@ class Loop:
         self.now += 1
 
     def finish(self) -> Table:
-        """End the run: bring what every leg has learnt into the shared table, and return it."""
+        """End the run: bring what every leg has learnt into the shared table, and return it.
+
+        The last action is never credited: its end is not sensed.
+        """
         for leg in self.legs:
             flush(self.shared, leg, self.now - 1)
         self.shared.merge()

@@ -60,18 +60,18 @@ def make_discretizer(params: Params) -> Discretizer:
     """
     made: Discretizer = parts.make(params, "discretizer", params)
     try:
-        shape, alike = tuple(made.shape), tuple(made.neighbours)
+        shape, neighbours = tuple(made.shape), tuple(made.neighbours)
     except (AttributeError, TypeError) as error:
         raise ParameterError(
             f"parts.discretizer = {shown(params.parts.discretizer)}: {error}; a tuple of numbers "
             "of bins as shape, and one of bits as neighbours, would be right"
         ) from error
     sizes = [n for n in shape if type(n) is int and n > 0]
-    if not shape or len(sizes) != len(shape) or len(alike) != len(shape):
+    if not shape or len(sizes) != len(shape) or len(neighbours) != len(shape):
         raise ParameterError(
             f"parts.discretizer = {shown(params.parts.discretizer)}: shape {shown(shape)} and "
-            f"neighbours {shown(alike)}; as many numbers of bins, 1 or more each, as bits would "
-            "be right"
+            f"neighbours {shown(neighbours)}; as many numbers of bins, 1 or more each, as bits "
+            "would be right"
         )
     cells = states_of(made) * _table_count(params) * len(params.leg.knee_speeds)
     if cells > MAX_CELLS:
@@ -94,8 +94,13 @@ def empty_table(params: Params) -> Table:
     Raises:
         ParameterError: a part cannot be used.
     """
-    states = states_of(make_discretizer(params))
-    return Table(states * _table_count(params), len(params.leg.knee_speeds))
+    return _table_over(make_discretizer(params), params)
+
+
+def _table_over(discretizer: Discretizer, params: Params) -> Table:
+    """Return an empty table of a discretizer's states."""
+    states = states_of(discretizer) * _table_count(params)
+    return Table(states, len(params.leg.knee_speeds))
 
 
 def make_task(params: Params, leg: str) -> LegTask:
@@ -144,7 +149,7 @@ def make_leg(
         shared: whether the table is shared with other legs, or this leg's own.
         table: what was learnt before, owned by this leg from now on; empty for None.
         run: names this life of the leg for the shared table.
-        start_cycle: cycles that were learnt before: exploration goes on from there.
+        start_cycle: nominal cycles that were learnt before: exploration goes on from there.
 
     Raises:
         ParameterError: there is no such leg, stage, policy or part.
@@ -152,15 +157,16 @@ def make_leg(
     learning_params = learning_params_of(params, stage)
     position = position_of(params, leg)
     task = make_task(params, leg)
-    reads = isinstance(policy, str) and policy not in BLIND
-    shared = shared and (learning or reads)
+    # A policy object was made without q_values, so it cannot read the table.
+    reads_table = isinstance(policy, str) and policy not in BLIND
+    needs_shared = shared and (learning or reads_table)
     copy = LocalCopy(
-        table if table is not None else empty_table(params),
+        table if table is not None else _table_over(task.discretizer, params),
         leg=position,
         run=run,
         cells=cells_sha256(params),
         rate=learning_params.rate,
-        sync_every=learning_params.sync_every if shared else 0,
+        sync_every=learning_params.sync_every if needs_shared else 0,
     )
     learner = _make_learner(params, learning_params, task.discretizer, copy.table, seed, position)
     if isinstance(policy, str):
@@ -177,7 +183,7 @@ def make_leg(
         policy=made,
         copy=copy,
         learning=learning,
-        shared=shared,
+        shared=needs_shared,
     )
 
 

@@ -33,7 +33,8 @@ class Learner(Protocol):
     def learn(self, transition: Transition) -> Iterable[TDUpdate]:
         """Return what a transition changes, in order; called once a tick that can be credited.
 
-        It may be about earlier transitions: SARSA knows the next action only one tick later.
+        It may be about earlier transitions: SARSA knows the next action only one tick later, as
+        the timeline of ``leg_node.task`` shows.
         """
         ...
 

@@ -41,7 +41,7 @@ class LegModule:
         self.learning = learning
         self.shared = shared
         self._task, self._learner, self._policy = task, learner, policy
-        self.last_transition = task.nothing_to_credit(-1, -1, False)
+        self.last_transition = task.nothing_to_credit(tick=-1, state=-1, stance=False)
         """What happened in the tick that ended, as of the last call of ``tick``; none is credited
         before the first call."""
 
@@ -67,7 +67,10 @@ class LegModule:
         self.copy.reset(last_tick, run)
 
     def credit(self, sense: LegSense) -> Transition:
-        """Return what the tick that ended with ``sense`` was worth; nothing is learnt from it."""
+        """Return what the tick that ended with ``sense`` was worth; nothing is learnt from it.
+
+        Reads only; may be called before ``tick`` of the same tick.
+        """
         return self._task.credit(sense)
 
     def _learn(self, transition: Transition) -> Transition:
