@@ -1,6 +1,6 @@
 """The machine without ROS: the specification of a tick, and the fast way to train.
 
-The graph carries the same values in messages and must end with the same bits.
+The graph carries the same values in messages, and must end with the same bits as this loop.
 """
 
 from __future__ import annotations
@@ -12,16 +12,20 @@ from ember_ros.params import cells_sha256
 from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, LegCommand, LegSense
 from ember_ros.worlds import World, make_world
-from leg_node.assembly import empty_table, make_leg, numbers_of
+from leg_node.assembly import empty_table, learning_params_of, make_leg
 from leg_node.module import LegModule
 from leg_node.shared import SharedTable
 from leg_node.table import Table
 from leg_node.table_file import load_table
 
 
-def act(shared: SharedTable, leg: LegModule, sense: LegSense, beat: Beat) -> LegCommand:
-    """Let a leg have its tick, between the two ends of its epoch."""
-    upto = leg.copy.pull_due(sense.tick)
+def tick_leg(shared: SharedTable, leg: LegModule, sense: LegSense, beat: Beat) -> LegCommand:
+    """Run one tick of a leg.
+
+    Pull if an epoch begins; let the leg learn and act; push if an epoch ends. ``LegNode`` does the
+    same over services.
+    """
+    upto = leg.copy.epoch_to_pull(sense.tick)
     if upto is not None:
         leg.copy.apply(shared.pull(leg.copy.version, upto), upto)
     command = leg.tick(sense, beat)
@@ -38,9 +42,9 @@ def flush(shared: SharedTable, leg: LegModule, last_tick: int) -> None:
 
 
 def _push(shared: SharedTable, leg: LegModule) -> None:
-    while (push := leg.copy.push_due()) is not None:
-        shared.push(push)
-        leg.copy.acknowledged(push)
+    while (batch := leg.copy.oldest_unacknowledged()) is not None:
+        shared.push(batch)
+        leg.copy.acknowledged(batch)
 
 
 class Loop:
@@ -55,9 +59,9 @@ class Loop:
         """
         params = config.params
         table = load_table(config.table, params)[0] if config.table else empty_table(params)
-        numbers = numbers_of(params, config.stage)
+        learning_params = learning_params_of(params, config.stage)
         self.shared = SharedTable(
-            table, legs=len(config.legs), cells=cells_sha256(params), rate=numbers.rate
+            table, legs=len(config.legs), cells=cells_sha256(params), rate=learning_params.rate
         )
         self.legs = [
             make_leg(
@@ -77,20 +81,31 @@ class Loop:
         """The present tick."""
 
     def tick(self, *observers: Observer) -> None:
-        """Run one tick of the whole machine."""
+        """Run one tick of the whole machine.
+
+        1. The world is observed: one sense a leg.
+        2. The oscillator gives the beat.
+        3. Each leg has its tick, in the order of legs: it learns from tick t-1 and acts in tick t.
+        4. Observers are shown the commands of tick t together with the transitions of tick t-1.
+        5. The world steps with all commands.
+        """
         senses = self.world.observe()
         beat = self.beats.at(self.now, senses)
         commands = [
-            act(self.shared, leg, sense, beat) for leg, sense in zip(self.legs, senses, strict=True)
+            tick_leg(self.shared, leg, sense, beat)
+            for leg, sense in zip(self.legs, senses, strict=True)
         ]
-        transitions = [leg.transition for leg in self.legs]
+        transitions = [leg.last_transition for leg in self.legs]
         for observer in observers:
             observer.tick(beat, senses, commands, self.world.body(), transitions)
         self.world.step(beat, commands)
         self.now += 1
 
     def finish(self) -> Table:
-        """End the run: bring what every leg has learnt into the shared table, and return it."""
+        """End the run: bring what every leg has learnt into the shared table, and return it.
+
+        The last action is never credited: its end is not sensed.
+        """
         for leg in self.legs:
             flush(self.shared, leg, self.now - 1)
         self.shared.merge()

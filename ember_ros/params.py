@@ -238,7 +238,7 @@ class Rate(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Learning:
+class LearningParams:
     """One-step Q-learning, epsilon-greedy (paper, section VI-C). One set a stage.
 
     The paper's own learner is in ``config/plain.yaml``: a constant rate, and the table read as it
@@ -269,8 +269,8 @@ class Learning:
         return Rate(self.alpha_floor, self.alpha_ceiling)
 
 
-def _walking() -> Learning:
-    return Learning(alpha_floor=0.03, epsilon_start=0.0, epsilon_end=0.0)
+def _walking() -> LearningParams:
+    return LearningParams(alpha_floor=0.03, epsilon_start=0.0, epsilon_end=0.0)
 
 
 @dataclass(frozen=True)
@@ -287,8 +287,8 @@ class Params:
     state: State = field(default_factory=State)
     reward: Reward = field(default_factory=Reward)
     script: Script = field(default_factory=Script)
-    train: Learning = field(default_factory=Learning)
-    walk: Learning = field(default_factory=_walking)
+    train: LearningParams = field(default_factory=LearningParams)
+    walk: LearningParams = field(default_factory=_walking)
 
     def __post_init__(self) -> None:
         for group in dataclasses.fields(self):
@@ -473,11 +473,11 @@ def _check_together(p: Params) -> None:
         raise ParameterError(
             f"leg.foot_radius = {p.leg.foot_radius} m must be less than leg.shank_length"
         )
-    for stage, numbers in (("train", p.train), ("walk", p.walk)):
-        if numbers.alpha_floor > numbers.alpha_ceiling:
+    for stage, learning_params in (("train", p.train), ("walk", p.walk)):
+        if learning_params.alpha_floor > learning_params.alpha_ceiling:
             raise ParameterError(
-                f"{stage}.alpha_floor = {numbers.alpha_floor} must not be greater than "
-                f"{stage}.alpha_ceiling = {numbers.alpha_ceiling}"
+                f"{stage}.alpha_floor = {learning_params.alpha_floor} must not be greater than "
+                f"{stage}.alpha_ceiling = {learning_params.alpha_ceiling}"
             )
     trainer = p.trainer
     if trainer.stop_low > trainer.stop_high:

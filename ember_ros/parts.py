@@ -19,7 +19,7 @@ FACES = {
     "discretizer": ("shape", "neighbours", "index"),
     "reward": ("names", "terms"),
     "value": ("q_values",),
-    "learner": ("q_values", "learn", "reset"),
+    "learner": ("q_values", "learn", "flush"),
     "policy": ("choose",),
     "world": ("legs", "over", "work", "observe", "step", "body", "reset", "close"),
 }

@@ -9,7 +9,7 @@ from ember_ros.errors import ParameterError
 from ember_ros.params import Params
 from ember_ros.run import SUMMARY, TABLE
 from ember_ros.run_config import RunConfig
-from leg_node.assembly import numbers_of
+from leg_node.assembly import learning_params_of
 from leg_node.policy import epsilon_at
 from leg_node.table_file import describe_differences, load_about, load_table, params_of
 
@@ -57,7 +57,7 @@ def start_messages(config: RunConfig) -> list[str]:
     differences = describe_differences(config.table, about, config.params)
     if differences is not None:
         lines.append(differences)
-    learning_params = numbers_of(config.params, config.stage)
+    learning_params = learning_params_of(config.params, config.stage)
     epsilon = epsilon_at(learning_params, config.start_cycle)
     share = f"{100 * epsilon:.3g} %"
     if config.start_cycle:

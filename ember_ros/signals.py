@@ -73,14 +73,14 @@ class LegCommand(NamedTuple):
 
 
 class TDUpdate(NamedTuple):
-    """One Q-learning update, kept so that it can be applied elsewhere in the same order."""
+    """One update of one cell, kept so that it can be applied elsewhere in the same order."""
 
     tick: int
-    """The tick at which the reward was known."""
+    """The tick at which the target was known, as in the timeline of ``leg_node.task``."""
     cell: int
     """Row-major index of the cell (state, action)."""
     target: float
-    """The temporal-difference target: reward + gamma * max Q(next state)."""
+    """The temporal-difference target; Q-learning's is reward + gamma * max Q(next state)."""
 
 
 class Transition(NamedTuple):
@@ -88,7 +88,7 @@ class Transition(NamedTuple):
 
     State, stance, action and reward are of the tick that just ended, as the force in ``LegSense``
     is; the next state and stance are of the tick that begins. A leg publishes it for records,
-    reports and viewers; no other leg hears it.
+    reports and viewers; no other leg hears it. The timeline is in ``leg_node.task``.
     """
 
     tick: int
@@ -97,7 +97,8 @@ class Transition(NamedTuple):
     """In which the action was chosen, 0 or more; -1 where there is nothing to credit: at the first
     tick, after a reset, or after ticks that were missed."""
     stance: bool
-    """Whether the leg was in stance; False where there is nothing to credit."""
+    """Whether the leg was in stance, as the gait says, whether or not the tick was rewarded as
+    stance; False where there is nothing to credit."""
     action: int
     """Index into ``leg.knee_speeds``; -1 where there is nothing to credit."""
     terms: tuple[tuple[str, float], ...]
@@ -108,8 +109,8 @@ class Transition(NamedTuple):
     next_stance: bool
     """Whether the tick that begins belongs to stance."""
     td_error: float
-    """What the learner's update was worth: its target less the value that was believed before; 0
-    where nothing was learnt."""
+    """The error of the last update: its target less the value that its cell had before. With a
+    learner that looks back, the update is of an earlier transition. 0 where nothing was learnt."""
 
     @property
     def credited(self) -> bool:

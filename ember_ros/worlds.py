@@ -1,9 +1,9 @@
 """What a world is, and which there are by name; one of your own has a dotted path. Pure.
 
 A world is a class made with ``(params, seed=..., gui=...)`` that does what ``World`` says, to which
-``sim_node.contract.check_world`` holds it. It may say which learning numbers hold in it (``stage``,
-``walk`` without) and which legs are mounted there (``legs_of(params)``, those of ``params.robot``
-without).
+``sim_node.contract.check_world`` holds it. It may say which learning parameters hold in it
+(``stage``, ``walk`` without) and which legs are mounted there (``legs_of(params)``, those of
+``params.robot`` without).
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class WorldSpec(NamedTuple):
     path: str
     """Dotted path of its class."""
     stage: str
-    """Which learning numbers hold there: ``train`` or ``walk``."""
+    """Which learning parameters hold there: ``train`` or ``walk``."""
     legs_of: Callable[[Params], tuple[str, ...]]
     """Returns the names of its legs, in order."""
 
@@ -102,7 +102,7 @@ def legs_of(world: str, params: Params) -> tuple[str, ...]:
 
 
 def stage_of(world: str) -> str:
-    """Return which learning numbers hold in a world: ``walk`` or ``train``."""
+    """Return which learning parameters hold in a world: ``walk`` or ``train``."""
     return spec_of(world).stage
 
 

@@ -23,6 +23,6 @@ class Mine(PaperReward):
 
     names = (*PaperReward.names, "calm")
 
-    def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
+    def terms(self, sense: LegSense, as_stance: bool) -> dict[str, float]:
         """Return the weighted terms that apply, by name; the reward is their sum."""
-        return {**super().terms(sense, stance), "calm": CALM * abs(sense.knee_speed)}
+        return {**super().terms(sense, as_stance), "calm": CALM * abs(sense.knee_speed)}

@@ -9,7 +9,7 @@ from typing import Any
 
 from ember_ros import parts
 from ember_ros.errors import ParameterError, shown
-from ember_ros.params import MAX_CELLS, TRAINER_LEG, Learning, Params, cells_sha256
+from ember_ros.params import MAX_CELLS, TRAINER_LEG, LearningParams, Params, cells_sha256
 from ember_ros.randomness import LEARNER, generator
 from leg_node.discretizer import Discretizer, states_of
 from leg_node.learner import Learner
@@ -24,8 +24,8 @@ BLIND = ("scripted", "random")
 """Policies that choose without the table."""
 
 
-def numbers_of(params: Params, stage: str) -> Learning:
-    """Return the learning numbers of a stage.
+def learning_params_of(params: Params, stage: str) -> LearningParams:
+    """Return the learning parameters of a stage.
 
     Raises:
         ParameterError: there is no such stage.
@@ -60,20 +60,20 @@ def make_discretizer(params: Params) -> Discretizer:
     """
     made: Discretizer = parts.make(params, "discretizer", params)
     try:
-        shape, alike = tuple(made.shape), tuple(made.neighbours)
+        shape, neighbours = tuple(made.shape), tuple(made.neighbours)
     except (AttributeError, TypeError) as error:
         raise ParameterError(
             f"parts.discretizer = {shown(params.parts.discretizer)}: {error}; a tuple of numbers "
             "of bins as shape, and one of bits as neighbours, would be right"
         ) from error
     sizes = [n for n in shape if type(n) is int and n > 0]
-    if not shape or len(sizes) != len(shape) or len(alike) != len(shape):
+    if not shape or len(sizes) != len(shape) or len(neighbours) != len(shape):
         raise ParameterError(
             f"parts.discretizer = {shown(params.parts.discretizer)}: shape {shown(shape)} and "
-            f"neighbours {shown(alike)}; as many numbers of bins, 1 or more each, as bits would "
-            "be right"
+            f"neighbours {shown(neighbours)}; as many numbers of bins, 1 or more each, as bits "
+            "would be right"
         )
-    cells = states_of(made) * _tables(params) * len(params.leg.knee_speeds)
+    cells = states_of(made) * _table_count(params) * len(params.leg.knee_speeds)
     if cells > MAX_CELLS:
         raise ParameterError(
             f"parts.discretizer and leg.knee_speeds make a table of {states_of(made)} states "
@@ -83,7 +83,7 @@ def make_discretizer(params: Params) -> Discretizer:
     return made
 
 
-def _tables(params: Params) -> int:
+def _table_count(params: Params) -> int:
     """Return how many tables the learner keeps, one behind the other."""
     return int(getattr(parts.find(params.parts.learner, "parts.learner"), "tables", 1))
 
@@ -94,8 +94,13 @@ def empty_table(params: Params) -> Table:
     Raises:
         ParameterError: a part cannot be used.
     """
-    states = states_of(make_discretizer(params))
-    return Table(states * _tables(params), len(params.leg.knee_speeds))
+    return _table_over(make_discretizer(params), params)
+
+
+def _table_over(discretizer: Discretizer, params: Params) -> Table:
+    """Return an empty table of a discretizer's states."""
+    states = states_of(discretizer) * _table_count(params)
+    return Table(states, len(params.leg.knee_speeds))
 
 
 def make_task(params: Params, leg: str) -> LegTask:
@@ -137,35 +142,36 @@ def make_leg(
     Args:
         params: every number, and which parts.
         leg: one of ``robot.legs``, or ``TRAINER_LEG``.
-        stage: which learning numbers hold, ``train`` or ``walk``.
+        stage: which learning parameters hold, ``train`` or ``walk``.
         seed: of the run; each leg draws from its own generator.
         policy: ``learned``, ``scripted``, ``random``, the dotted path of one, or one.
         learning: whether the table changes.
         shared: whether the table is shared with other legs, or this leg's own.
         table: what was learnt before, owned by this leg from now on; empty for None.
         run: names this life of the leg for the shared table.
-        start_cycle: cycles that were learnt before: exploration goes on from there.
+        start_cycle: nominal cycles that were learnt before: exploration goes on from there.
 
     Raises:
         ParameterError: there is no such leg, stage, policy or part.
     """
-    numbers = numbers_of(params, stage)
+    learning_params = learning_params_of(params, stage)
     position = position_of(params, leg)
     task = make_task(params, leg)
-    reads = isinstance(policy, str) and policy not in BLIND
-    shared = shared and (learning or reads)
+    # A policy object was made without q_values, so it cannot read the table.
+    reads_table = isinstance(policy, str) and policy not in BLIND
+    needs_shared = shared and (learning or reads_table)
     copy = LocalCopy(
-        table if table is not None else empty_table(params),
+        table if table is not None else _table_over(task.discretizer, params),
         leg=position,
         run=run,
         cells=cells_sha256(params),
-        rate=numbers.rate,
-        sync_every=numbers.sync_every if shared else 0,
+        rate=learning_params.rate,
+        sync_every=learning_params.sync_every if needs_shared else 0,
     )
-    learner = _make_learner(params, numbers, task.discretizer, copy.table, seed, position)
+    learner = _make_learner(params, learning_params, task.discretizer, copy.table, seed, position)
     if isinstance(policy, str):
         rng = generator(seed, position)
-        given = (params, numbers, learner.q_values, rng, start_cycle)
+        given = (params, learning_params, learner.q_values, rng, start_cycle)
         made: Policy = parts.build(
             _policy_of(policy), "policy", f"policy = {shown(policy)}", *given
         )
@@ -177,7 +183,7 @@ def make_leg(
         policy=made,
         copy=copy,
         learning=learning,
-        shared=shared,
+        shared=needs_shared,
     )
 
 
@@ -195,7 +201,7 @@ def _policy_of(name: str) -> Any:
 
 def _make_learner(
     params: Params,
-    numbers: Learning,
+    learning_params: LearningParams,
     discretizer: Discretizer,
     table: Table,
     seed: int,
@@ -203,9 +209,9 @@ def _make_learner(
 ) -> Learner:
     states, ticks = states_of(discretizer), params.gait.ticks
     estimates = [
-        parts.make(params, "value", part, discretizer, numbers, ticks)
-        for part in table.parts(_tables(params))
+        parts.make(params, "value", part, discretizer, learning_params, ticks)
+        for part in table.split(_table_count(params))
     ]
     shape, rng = (states, table.actions), generator(seed, LEARNER + position)
-    learner: Learner = parts.make(params, "learner", estimates, numbers, shape, rng)
+    learner: Learner = parts.make(params, "learner", estimates, learning_params, shape, rng)
     return learner

@@ -27,7 +27,7 @@ class Discretizer(Protocol):
 
     @property
     def neighbours(self) -> tuple[bool, ...]:
-        """Return for each axis whether bins beside each other mean similar things."""
+        """Return, for each axis, whether bins side by side mean similar things."""
         ...
 
     def index(self, sense: LegSense, stance: bool) -> int:

@@ -97,7 +97,7 @@ class DurableTable(SharedTable):
                 f"push of leg {push.leg}: the table knows {MAX_RUNS_PER_LEG} runs of this leg and "
                 "takes no more; restart the table_node"
             )
-        if self.learning:
+        if self.merges_pushes:
             if self._store is not None:
                 if self._store.pushes >= MAX_PUSHES:
                     self.checkpoint()

@@ -38,8 +38,9 @@ class Gait(Protocol):
 class HipRamp:
     """The paper's gait: slowly back in stance, quickly forward in swing (section II).
 
-    A function of the phase alone. Where the phase will be at the end of the tick is not broadcast:
-    it is taken to grow by as much as in the tick before.
+    Depends on the phase, and on the phase one beat before: where the phase will be at the end of
+    the tick is not broadcast, so the growth in the last tick is taken as the growth in this one.
+    So it has a state, and is called once per tick.
     """
 
     def __init__(self, params: Params, offset: float) -> None:
@@ -51,22 +52,27 @@ class HipRamp:
         """
         gait = params.gait
         self._ticks, self._offset = gait.ticks, offset
-        self._stance = round(gait.stance_share * gait.ticks)
+        self._stance_ticks = round(gait.stance_share * gait.ticks)
         self._front, self._rear = gait.hip_front, gait.hip_rear
         self._rate = PhaseRate(1.0 / gait.ticks)
 
     def step(self, beat: Beat, sense: LegSense) -> GaitStep:
         """Return what holds in the tick that begins."""
         # In ticks of the nominal cycle, so that whole ones are exact; 0 where stance begins.
-        now = (beat.phase + self._offset) % 1.0 * self._ticks
-        way = self._rate.per_tick(beat) * self._ticks
-        stance = now < self._stance
-        left = 0.0 if stance else (self._ticks - now) / way if way else math.inf
-        return GaitStep(stance, left, self._hip((now + way) % self._ticks))
+        place = (beat.phase + self._offset) % 1.0 * self._ticks
+        ticks_per_tick = self._rate.per_tick(beat) * self._ticks
+        stance = place < self._stance_ticks
+        if stance:
+            ticks_left = 0.0
+        elif ticks_per_tick:
+            ticks_left = (self._ticks - place) / ticks_per_tick
+        else:
+            ticks_left = math.inf
+        return GaitStep(stance, ticks_left, self._hip((place + ticks_per_tick) % self._ticks))
 
-    def _hip(self, at: float) -> float:
+    def _hip(self, place: float) -> float:
         """Return the hip angle, rad, at a place in the leg's own cycle, in nominal ticks."""
-        way, stance = self._rear - self._front, self._stance
-        if at < stance:
-            return self._front + way * at / stance
-        return self._rear - way * (at - stance) / (self._ticks - stance)
+        front_to_rear, stance_ticks = self._rear - self._front, self._stance_ticks
+        if place < stance_ticks:
+            return self._front + front_to_rear * place / stance_ticks
+        return self._rear - front_to_rear * (place - stance_ticks) / (self._ticks - stance_ticks)

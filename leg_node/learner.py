@@ -1,6 +1,6 @@
 """What is learnt from a transition: updates of single cells (paper, section VI-C). Pure.
 
-To swap it, write a class with ``q_values``, ``learn`` and ``reset`` and name it as
+To swap it, write a class with ``q_values``, ``learn`` and ``flush`` and name it as
 ``parts.learner``; ``leg_node.sarsa`` is an example. A learner decides targets, and never touches
 the table: a leg applies its updates at once and shares them, and whoever merges them does the same.
 """
@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ember_ros.params import Learning
+from ember_ros.params import LearningParams
 from ember_ros.signals import TDUpdate, Transition
 from leg_node.value import ValueEstimate
 
@@ -20,10 +20,10 @@ from leg_node.value import ValueEstimate
 class Learner(Protocol):
     """Turns transitions into updates.
 
-    Made with ``(estimates, numbers, shape, rng)``: one value estimate for each of its tables; the
-    learning numbers of the stage; states and actions of one table; a generator of its own. A class
-    that sets ``tables`` to more than 1 (double Q-learning has two) is given so many, one behind the
-    other in one table: cell ``(n * states + state) * actions + action``.
+    Made with ``(estimates, learning_params, shape, rng)``: one value estimate for each of its
+    tables; the learning parameters of the stage; states and actions of one table; a generator of
+    its own. A class that sets ``tables`` to more than 1 (double Q-learning has two) is given so
+    many, one behind the other in one table: cell ``(n * states + state) * actions + action``.
     """
 
     def q_values(self, tick: int, state: int) -> list[float]:
@@ -33,14 +33,15 @@ class Learner(Protocol):
     def learn(self, transition: Transition) -> Iterable[TDUpdate]:
         """Return what a transition changes, in order; called once a tick that can be credited.
 
-        It may be about earlier transitions: SARSA knows the next action only one tick later.
+        It may be about earlier transitions: SARSA knows the next action only one tick later, as
+        the timeline of ``leg_node.task`` shows.
         """
         ...
 
-    def reset(self) -> Iterable[TDUpdate]:
-        """Return what is left to be learnt when the chain of transitions breaks, and forget it.
+    def flush(self) -> Iterable[TDUpdate]:
+        """Return the updates that are left when the chain of transitions breaks, and forget them.
 
-        That is where a leg was put down, missed ticks, or ends.
+        It breaks where a leg was put down, missed ticks, or ends.
         """
         ...
 
@@ -51,14 +52,14 @@ class QLearning:
     def __init__(
         self,
         estimates: Sequence[ValueEstimate],
-        numbers: Learning,
+        learning_params: LearningParams,
         shape: tuple[int, int],
         rng: np.random.Generator,
     ) -> None:
-        """Learn by the discount ``numbers.gamma``."""
+        """Learn by the discount ``learning_params.gamma``."""
         (estimate,) = estimates
         self.q_values = estimate.q_values
-        self._gamma = numbers.gamma
+        self._gamma = learning_params.gamma
         self._actions = shape[1]
 
     def learn(self, transition: Transition) -> Iterable[TDUpdate]:
@@ -68,6 +69,6 @@ class QLearning:
         cell = transition.state * self._actions + transition.action
         return (TDUpdate(tick, cell, transition.reward + self._gamma * best),)
 
-    def reset(self) -> Iterable[TDUpdate]:
+    def flush(self) -> Iterable[TDUpdate]:
         """Return nothing: every transition is learnt from at once."""
         return ()

@@ -41,47 +41,55 @@ class LegModule:
         self.learning = learning
         self.shared = shared
         self._task, self._learner, self._policy = task, learner, policy
-        self.transition = task.nothing_to_credit(-1, -1, False)
-        """What happened in the tick that ended, as of the last call of ``tick``."""
+        self.last_transition = task.nothing_to_credit(tick=-1, state=-1, stance=False)
+        """What happened in the tick that ended, as of the last call of ``tick``; none is credited
+        before the first call."""
 
     def tick(self, sense: LegSense, beat: Beat) -> LegCommand:
         """Take the senses and the beat of one tick, learn from the tick before, and act.
 
-        What was learnt from is in ``transition`` afterwards.
+        What was learnt from is in ``last_transition`` afterwards.
         """
         perception = self._task.perceive(sense, beat)
-        self.transition = self._learn(perception.transition)
+        self.last_transition = self._learn(perception.transition)
         return self._task.act(
             perception, self._policy.choose(sense, perception.gait, perception.state)
         )
 
     def finish(self) -> None:
         """Learn what the learner still keeps; no tick may follow but after ``reset``."""
-        self._apply_rest()
+        self._flush_learner()
 
     def reset(self, last_tick: int, run: str) -> None:
         """Begin a new life after ``last_tick``: time began anew, what was learnt stays."""
-        self._apply_rest()
+        self._flush_learner()
         self._task.reset()
         self.copy.reset(last_tick, run)
 
     def credit(self, sense: LegSense) -> Transition:
-        """Return what the tick that ended with ``sense`` was worth; nothing is learnt from it."""
+        """Return what the tick that ended with ``sense`` was worth; nothing is learnt from it.
+
+        Reads only; may be called before ``tick`` of the same tick.
+        """
         return self._task.credit(sense)
 
     def _learn(self, transition: Transition) -> Transition:
-        """Learn from a transition; return it with the error of its update."""
+        """Learn from a transition; return it with the error of the last update, 0 without any.
+
+        With a learner that looks back, that is the update of an earlier transition.
+        """
         if not self.learning:
             return transition
         if not transition.credited:
-            self._apply_rest()
+            # Put down, or ticks missed: the chain of transitions breaks here.
+            self._flush_learner()
             return transition
         error = 0.0
         for update in self._learner.learn(transition):
             error = self.copy.learn(update)
         return transition._replace(td_error=error)
 
-    def _apply_rest(self) -> None:
+    def _flush_learner(self) -> None:
         if self.learning:
-            for update in self._learner.reset():
+            for update in self._learner.flush():
                 self.copy.learn(update)

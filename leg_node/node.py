@@ -196,7 +196,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
 
     def _start_tick(self, sense: LegSense, beat: Beat) -> None:
         """Pull the table if an epoch begins, then act."""
-        upto = self.module.copy.pull_due(sense.tick)
+        upto = self.module.copy.epoch_to_pull(sense.tick)
         if upto is None or self._table_absent:
             self._act(sense, beat)
             return
@@ -249,7 +249,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         """Choose the action, push if an epoch ends, then publish the command."""
         command = self.module.tick(sense, beat)
         self.module.copy.close_epoch(sense.tick)
-        if self.module.copy.push_due() is None:
+        if self.module.copy.oldest_unacknowledged() is None:
             self._publish(command)
             return
         self._send_push()
@@ -262,7 +262,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
     def _publish(self, command: LegCommand) -> None:
         self._answer = (
             command.tick,
-            self._transitions.pack(self.module.transition),
+            self._transitions.pack(self.module.last_transition),
             self._commands.pack(command),
         )
         self._publish_answer()
@@ -279,7 +279,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
 
     def _send_push(self) -> None:
         """Send the oldest push that is not acknowledged, unless its response is still awaited."""
-        push = self.module.copy.push_due()
+        push = self.module.copy.oldest_unacknowledged()
         if push is None or push is self._pushing:
             return
         self._pushing = push
@@ -301,7 +301,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         # A refused push is dropped: the table would refuse it again.
         self.module.copy.acknowledged(push)
         self._mark_table_present()
-        if self.module.copy.push_due() is not None:
+        if self.module.copy.oldest_unacknowledged() is not None:
             self._send_push()
         elif self._push_wait is not None and self._waiting is self._push_wait:
             self._resume()
@@ -362,7 +362,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         """Send a request to a table that did not respond; no tick waits for its response."""
         self._deadline = time.monotonic() + self._patience
         self._pushing = None
-        if self.module.copy.push_due() is not None:
+        if self.module.copy.oldest_unacknowledged() is not None:
             self._send_push()
         else:  # a leg that does not learn has nothing to push
             future = self._pull.call_async(calls.write_pull(self.module.copy.version, -1))
@@ -385,14 +385,14 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         copy.close_epoch(self._inbox.last, early=True)
         now = resend_at = time.monotonic()
         deadline = now + max(FINAL_PUSH_S, self._patience)
-        while copy.push_due() is not None and (now := time.monotonic()) < deadline:
+        while copy.oldest_unacknowledged() is not None and (now := time.monotonic()) < deadline:
             if not self._push.service_is_ready():
                 break
             if now >= resend_at:  # the table may have restarted; a repeated push changes nothing
                 self._pushing, resend_at = None, now + RESEND_S
             self._send_push()
             spin()
-        if copy.push_due() is not None:
+        if copy.oldest_unacknowledged() is not None:
             self.get_logger().error(
                 "the table_node did not acknowledge the last updates; they are lost"
             )

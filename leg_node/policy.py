@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ember_ros import kinematics
-from ember_ros.params import Learning, Params
+from ember_ros.params import LearningParams, Params
 from ember_ros.signals import LegSense
 from leg_node.gait import GaitStep
 
@@ -19,9 +19,10 @@ QValues = Callable[[int, int], list[float]]
 class Policy(Protocol):
     """Chooses an action.
 
-    Made with ``(params, numbers, q_values, rng, start_cycle)``: all parameters; the learning
-    numbers of the stage; what the learner believes; a generator of its own; cycles that went before
-    the first tick. Name one of your own by its dotted path: ``--policy my_package.module.Mine``.
+    Made with ``(params, learning_params, q_values, rng, start_cycle)``: all parameters; the
+    learning parameters of the stage; what the learner believes; a generator of its own; nominal
+    cycles before the first tick. Name one of your own by its dotted path: ``--policy
+    my_package.module.Mine``. A nominal cycle is ``gait.ticks`` ticks, whatever the phase does.
     """
 
     def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
@@ -35,10 +36,11 @@ class Policy(Protocol):
         ...
 
 
-def epsilon_at(learning: Learning, cycle: int) -> float:
-    """Return the share of random actions in a cycle: linear in cycles, then constant."""
-    done = min(1.0, cycle / learning.epsilon_cycles)
-    return learning.epsilon_start + done * (learning.epsilon_end - learning.epsilon_start)
+def epsilon_at(learning_params: LearningParams, cycle: int) -> float:
+    """Return the share of random actions in a nominal cycle: linear in cycles, then constant."""
+    start, end = learning_params.epsilon_start, learning_params.epsilon_end
+    done = min(1.0, cycle / learning_params.epsilon_cycles)
+    return start + done * (end - start)
 
 
 class EpsilonGreedy:
@@ -51,26 +53,24 @@ class EpsilonGreedy:
     def __init__(
         self,
         params: Params,
-        numbers: Learning,
+        learning_params: LearningParams,
         q_values: QValues,
         rng: np.random.Generator,
         start_cycle: int = 0,
     ) -> None:
-        """Choose by ``q_values`` and explore as ``numbers`` say; ``rng`` also breaks ties."""
-        self._q_values, self._learning, self._rng = q_values, numbers, rng
+        """Choose by ``q_values``, explore by ``epsilon_at``; ``rng`` also breaks ties."""
+        self._q_values, self._learning_params, self._rng = q_values, learning_params, rng
         self._actions, self._ticks = len(params.leg.knee_speeds), params.gait.ticks
         self._start_cycle = start_cycle
-        self._cycle, self._epsilon = -1, 0.0  # epsilon is worked out once a cycle
+        self._cycle, self._epsilon = -1, 0.0  # epsilon is worked out once a nominal cycle
 
     def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
         """Return the best action, or any with probability epsilon."""
         rng = self._rng
         cycle = sense.tick // self._ticks
         if cycle != self._cycle:
-            self._cycle, self._epsilon = (
-                cycle,
-                epsilon_at(self._learning, self._start_cycle + cycle),
-            )
+            self._cycle = cycle
+            self._epsilon = epsilon_at(self._learning_params, self._start_cycle + cycle)
         if rng.random() < self._epsilon:
             return int(rng.integers(self._actions))
         row = self._q_values(sense.tick, state)
@@ -87,7 +87,7 @@ class Random:
     def __init__(
         self,
         params: Params,
-        numbers: Learning,
+        learning_params: LearningParams,
         q_values: QValues,
         rng: np.random.Generator,
         start_cycle: int = 0,
@@ -110,7 +110,7 @@ class Scripted:
     def __init__(
         self,
         params: Params,
-        numbers: Learning,
+        learning_params: LearningParams,
         q_values: QValues,
         rng: np.random.Generator,
         start_cycle: int = 0,
@@ -122,12 +122,13 @@ class Scripted:
 
     def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
         """Return the speed nearest to what brings the knee where it should be in a tick."""
-        pitch = sense.inclination + sense.knee - sense.hip
+        # The body's inclination in the leg's plane, rad, nose up: the opposite of BodyState.pitch.
+        nose_up = sense.inclination + sense.knee - sense.hip
         height = self._leg.operating_height
         if gait.stance:
-            goal = kinematics.knee_for_height(self._leg, gait.hip_goal + pitch, height)
+            goal = kinematics.knee_for_height(self._leg, gait.hip_goal + nose_up, height)
         elif gait.ticks_to_stance <= self._script.reach_ticks:
-            goal = kinematics.knee_for_height(self._leg, self._front + pitch, height)
+            goal = kinematics.knee_for_height(self._leg, self._front + nose_up, height)
         else:
             goal = self._script.swing_bend
         wanted = (goal - sense.knee) / self._tick_s

@@ -39,12 +39,13 @@ class RewardFunction(Protocol):
         """Return the names of all terms, in the order in which they are added."""
         ...
 
-    def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
+    def terms(self, sense: LegSense, as_stance: bool) -> dict[str, float]:
         """Return the weighted terms that apply, by name; the reward is their sum.
 
         Args:
             sense: at the end of the tick that is rewarded.
-            stance: whether that tick is rewarded as stance is.
+            as_stance: whether that tick is rewarded as stance: in stance, and ``reward.lead`` ticks
+                before it.
         """
         ...
 
@@ -53,7 +54,7 @@ class PaperReward:
     """The paper's reward of one tick.
 
     Stance, in contact: slip + height - excess force; without contact: lost contact + height.
-    Swing: free, or strike - excess force.
+    Swing: free, or strike - excess force. ``force``: its weight is negative.
     """
 
     names: tuple[str, ...] = (
@@ -66,17 +67,19 @@ class PaperReward:
         self._reward = params.reward
         self._leg = params.leg
 
-    def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
+    def terms(self, sense: LegSense, as_stance: bool) -> dict[str, float]:
         """Return the weighted terms that apply, by name; the reward is their sum.
 
         Args:
             sense: at the end of the tick that is rewarded.
-            stance: whether that tick is rewarded as stance is.
+            as_stance: whether that tick is rewarded as stance: in stance, and ``reward.lead`` ticks
+                before it.
         """
         reward, leg = self._reward, self._leg
+        # At any moment of the tick; sense.contact is only its end.
         touched = sense.force_mean > 0.0
         terms: dict[str, float] = {}
-        if stance:
+        if as_stance:
             error = kinematics.height(leg, sense.knee, sense.inclination) - leg.operating_height
             terms["height"] = reward.height * height_term(reward, error)
             if touched:

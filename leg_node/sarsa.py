@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ember_ros.params import Learning
+from ember_ros.params import LearningParams
 from ember_ros.signals import TDUpdate, Transition
 from leg_node.value import ValueEstimate
 
@@ -28,14 +28,14 @@ class SarsaLambda:
     def __init__(
         self,
         estimates: Sequence[ValueEstimate],
-        numbers: Learning,
+        learning_params: LearningParams,
         shape: tuple[int, int],
         rng: np.random.Generator,
     ) -> None:
-        """Learn by the discount ``numbers.gamma``."""
+        """Learn by the discount ``learning_params.gamma``."""
         (estimate,) = estimates
         self.q_values = estimate.q_values
-        self._gamma = numbers.gamma
+        self._gamma = learning_params.gamma
         self._actions = shape[1]
         self._waiting: deque[Transition] = deque()
         """Transitions without their update, the oldest first, each following the one before."""
@@ -48,7 +48,7 @@ class SarsaLambda:
         last = self._waiting[-1]
         return (self._update(self.q_values(last.tick, last.state)[last.action], HORIZON),)
 
-    def reset(self) -> Iterable[TDUpdate]:
+    def flush(self) -> Iterable[TDUpdate]:
         """Return the updates of all that wait; after the last one its best action is taken."""
         updates = []
         while self._waiting:

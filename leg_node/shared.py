@@ -1,15 +1,20 @@
 """The table that all legs share, and a leg's own copy of it (paper, section VI-C). Pure.
 
 Time is cut into epochs of ``sync_every`` ticks; epoch ``e`` holds the ticks ``e * sync_every`` to
-``(e + 1) * sync_every - 1``. A leg learns on its copy at once and keeps the pairs (cell, target)
-of its updates. With the last tick of an epoch it pushes them, and sends that tick's command only
-when the push is acknowledged; with the first tick of the next epoch it pulls what changed. So when
-anybody pulls, everybody's pairs of all epochs before are in: the answer never waits for another
-leg, and does not depend on who came first. With ``sync_every = 1`` all legs read one table.
+``(e + 1) * sync_every - 1``. A leg applies its updates to its copy at once, and keeps them. With
+the last tick of an epoch it pushes them as one batch, and sends that tick's command only when the
+push is acknowledged; with the first tick of the next epoch it pulls what changed. The world does
+not step before it has every leg's command. So no leg reaches the next epoch before all pushes of
+this one are acknowledged: when anybody pulls, everybody's updates of all epochs before are in; the
+answer never waits for another leg, and does not depend on who came first. With ``sync_every = 1``
+all legs read one table. The exception is a leg that goes on without the table, since this does not
+answer in time or gives nothing to use (``skip_sync``): it keeps its updates for a later push.
 
-The shared table applies an epoch's pairs in the order (tick, leg), one after the other, so that
+The shared table applies an epoch's updates in the order (tick, leg), one after the other, so that
 many legs that visit one cell move it as one leg that visits it often would. Summed differences
 would overshoot.
+
+What a leg reads of its copy may be older than the copy: ``SmoothedValues`` in ``leg_node.value``.
 """
 
 from __future__ import annotations
@@ -29,11 +34,11 @@ MAX_PENDING = 64
 MAX_RUNS = 16
 """Runs of one leg whose last epoch is remembered: bounds the memory."""
 NO_EPOCH = -2
-"""Before the first pull; the table as it is before epoch 0 is pulled as epoch -1."""
+"""Nothing was pulled yet. Not -1: that is pulled at tick 0, the table as it is before epoch 0."""
 
 
 class UpdateBatch(NamedTuple):
-    """The pairs of one leg in one epoch; (leg, run, epoch) names it."""
+    """The updates of one leg in one epoch; (leg, run, epoch) names the batch."""
 
     leg: int
     """Position of the leg in the order of legs."""
@@ -59,7 +64,7 @@ class Changes(NamedTuple):
 
 
 class SharedTable:
-    """The merged table and the pushes that wait to be merged."""
+    """The merged table and the batches that wait to be merged."""
 
     def __init__(
         self, table: Table, *, legs: int, cells: str, rate: Rate, version: int = 0
@@ -69,44 +74,45 @@ class SharedTable:
         Args:
             table: what was learnt before.
             legs: how many there are.
-            cells: SHA-256 that each push must carry.
+            cells: SHA-256 that each batch must carry.
             rate: bounds of the learning rate.
             version: to count from; beyond all versions of an earlier life of the same table.
         """
         self.table = table
         self.version = version
-        self.learning = True
+        self.merges_pushes = True
+        """Whether pushes are merged; they are dropped otherwise."""
         self._legs, self._cells, self._rate = legs, cells, rate
         self._changed: Ints = np.full(len(table), version, dtype=np.int64)
         self._answer: tuple[tuple[int, int], Changes] | None = None
         self._pending: dict[int, list[UpdateBatch]] = {}
         self._done: dict[int, dict[str, int]] = {}
 
-    def push(self, push: UpdateBatch) -> bool:
-        """Take the pairs of an epoch.
+    def push(self, batch: UpdateBatch) -> bool:
+        """Take the updates of an epoch.
 
         Returns:
-            False if this push, or a later one of its run, was taken before: nothing changed now.
+            False if this batch, or a later one of its run, was taken before: nothing changed now.
 
         Raises:
             UpdateError: it is malformed; nothing of it is taken.
         """
-        self._check(push)
-        runs = self._done.setdefault(push.leg, {})
-        if push.epoch <= runs.get(push.run, -1):
+        self._check(batch)
+        runs = self._done.setdefault(batch.leg, {})
+        if batch.epoch <= runs.get(batch.run, -1):
             return False
-        runs.pop(push.run, None)  # to the end of the order in which runs are forgotten
-        runs[push.run] = push.epoch
+        runs.pop(batch.run, None)  # to the end of the order in which runs are forgotten
+        runs[batch.run] = batch.epoch
         while len(runs) > MAX_RUNS:
             runs.pop(next(iter(runs)))
-        if self.learning:
-            self._pending.setdefault(push.epoch, []).append(push)
+        if self.merges_pushes:
+            self._pending.setdefault(batch.epoch, []).append(batch)
             if len(self._pending) > MAX_PENDING:
                 self.merge(min(self._pending))
         return True
 
     def pull(self, since: int | None = None, upto: int | None = None) -> Changes:
-        """Return what changed after a version in the table with all epochs to ``upto`` merged.
+        """Merge all epochs up to ``upto``, and return what changed after a version.
 
         Args:
             since: a version; everything is returned for None.
@@ -143,11 +149,11 @@ class SharedTable:
             del self._pending[epoch]
 
     def _in_order(self, epochs: Iterable[int]) -> Iterator[TDUpdate]:
-        """Yield the pending pairs of epochs as they are to be merged: epoch, tick, leg."""
+        """Yield the pending updates of epochs as they are to be merged: epoch, tick, leg."""
         for epoch in sorted(epochs):
-            pushes = self._pending[epoch]
+            batches = self._pending[epoch]
             updates = [
-                (update.tick, push.leg, update) for push in pushes for update in push.updates
+                (update.tick, batch.leg, update) for batch in batches for update in batch.updates
             ]
             for _, _, update in sorted(updates):
                 yield update
@@ -161,8 +167,8 @@ class SharedTable:
         return table
 
     def pending(self) -> list[UpdateBatch]:
-        """Return the pushes that are not merged yet."""
-        return [push for pushes in self._pending.values() for push in pushes]
+        """Return the batches that are not merged yet."""
+        return [batch for batches in self._pending.values() for batch in batches]
 
     def done(self) -> dict[int, dict[str, int]]:
         """Return the last epoch of each run of each leg."""
@@ -171,32 +177,32 @@ class SharedTable:
     def restore(self, done: dict[int, dict[str, int]], pending: list[UpdateBatch]) -> None:
         """Take up what an earlier life of this table had taken and not merged."""
         self._done = {leg: dict(runs) for leg, runs in done.items()}
-        for push in pending:
-            self._pending.setdefault(push.epoch, []).append(push)
+        for batch in pending:
+            self._pending.setdefault(batch.epoch, []).append(batch)
 
-    def _check(self, push: UpdateBatch) -> None:
-        if push.cells_sha256 != self._cells:
+    def _check(self, batch: UpdateBatch) -> None:
+        if batch.cells_sha256 != self._cells:
             raise UpdateError(
-                f"push of leg {push.leg}, epoch {push.epoch}: learnt with other parameters (cells "
-                f"{push.cells_sha256[:12]}..., here {self._cells[:12]}...); give the leg and the "
-                "table the same parameter file"
+                f"push of leg {batch.leg}, epoch {batch.epoch}: learnt with other parameters "
+                f"(cells {batch.cells_sha256[:12]}..., here {self._cells[:12]}...); give the leg "
+                "and the table the same parameter file"
             )
-        if not 0 <= push.leg < self._legs or push.epoch < 0 or not push.run:
+        if not 0 <= batch.leg < self._legs or batch.epoch < 0 or not batch.run:
             raise UpdateError(
-                f"push of leg {push.leg}, run {push.run!r}, epoch {push.epoch}: leg must be 0 to "
-                f"{self._legs - 1}, epoch 0 or more, and the run must have a name"
+                f"push of leg {batch.leg}, run {batch.run!r}, epoch {batch.epoch}: leg must be "
+                f"0 to {self._legs - 1}, epoch 0 or more, and the run must have a name"
             )
-        for update in push.updates:
+        for update in batch.updates:
             if not 0 <= update.cell < len(self.table):
                 raise UpdateError(
-                    f"push of leg {push.leg}, epoch {push.epoch}: cell {update.cell} is not in "
+                    f"push of leg {batch.leg}, epoch {batch.epoch}: cell {update.cell} is not in "
                     f"0 to {len(self.table) - 1}"
                 )
             if update.tick < 0 or update.target - update.target != 0.0:
                 raise UpdateError(
-                    f"push of leg {push.leg}, epoch {push.epoch}: the target of cell {update.cell} "
-                    f"at tick {update.tick} is {update.target}; a finite number and a tick of 0 or "
-                    "more would be right"
+                    f"push of leg {batch.leg}, epoch {batch.epoch}: the target of cell "
+                    f"{update.cell} at tick {update.tick} is {update.target}; a finite number "
+                    "and a tick of 0 or more would be right"
                 )
 
 
@@ -214,7 +220,7 @@ class LocalCopy:
             run: names this life of the leg.
             cells: SHA-256 of what gives cells their meaning.
             rate: bounds of the learning rate.
-            sync_every: ticks an epoch; 0 never syncs.
+            sync_every: ticks an epoch; 0 never syncs: the table is this leg's own.
         """
         self.table = table
         self.version: int | None = None
@@ -222,70 +228,82 @@ class LocalCopy:
         self._sync_every = sync_every
         self._leg, self._run, self._cells, self._rate = leg, run, cells, rate
         self._epoch = NO_EPOCH
-        self._pairs: list[TDUpdate] = []
+        self._epoch_updates: list[TDUpdate] = []
+        """Updates of the present epoch, which are in no batch yet."""
         self._unmerged: list[UpdateBatch] = []
         self._sent = 0  # how many of _unmerged are acknowledged, from the front
-        self._base: dict[int, tuple[float, int]] = {}  # touched cells as the shared table has them
+        self._shared_cells: dict[int, tuple[float, int]] = {}
+        """(value, visits) of the cells that this leg has changed, as in the shared table."""
 
     def learn(self, update: TDUpdate) -> float:
-        """Apply an update at once, keep its pair for the next push, and return its error."""
+        """Apply an update at once, keep it for the next push, and return its error."""
         if self._sync_every:
-            self._pairs.append(update)
-            return self._reapply(update)
+            self._epoch_updates.append(update)
+            return self._apply_over_shared(update)
         return self.table.update(update.cell, update.target, self._rate)
 
-    def _reapply(self, update: TDUpdate) -> float:
+    def _apply_over_shared(self, update: TDUpdate) -> float:
         """Apply an update on top of the shared content, remembering what lies below."""
-        if update.cell not in self._base:
-            self._base[update.cell] = self.table.cell(update.cell)
+        if update.cell not in self._shared_cells:
+            self._shared_cells[update.cell] = self.table.read(update.cell)
         return self.table.update(update.cell, update.target, self._rate)
 
-    def pull_due(self, tick: int) -> int | None:
-        """Return the epoch up to which to pull before the tick is acted on, or None."""
+    def epoch_to_pull(self, tick: int) -> int | None:
+        """Return the epoch up to which to pull before the tick is acted on, or None.
+
+        That is -1 in epoch 0, to which ``NO_EPOCH`` is less: even the first tick pulls.
+        """
         if not self._sync_every:
             return None
         upto = tick // self._sync_every - 1
         return upto if upto > self._epoch else None
 
     def apply(self, changes: Changes, upto: int) -> None:
-        """Take over what changed up to an epoch, and lay what is not yet in it back on top."""
-        for cell, content in self._base.items():
-            self.table.put(cell, *content)
-        self._base.clear()
+        """Take over what changed up to an epoch, and lay what is not yet in it back on top.
+
+        Acknowledged batches up to ``upto`` are in what was pulled; keep all others. Epochs restart
+        at 0 after a reset, so acknowledged ones may still have a greater epoch.
+        """
+        for cell, content in self._shared_cells.items():
+            self.table.write(cell, *content)
+        self._shared_cells.clear()
         self.table.values[changes.cells] = changes.values
         self.table.visits[changes.cells] = changes.visits
         self.version, self._epoch = changes.version, upto
-        # Not simply the first ones: epochs of another life may be greater than those of this one.
-        left = [p for n, p in enumerate(self._unmerged) if n >= self._sent or p.epoch > upto]
+        left = [
+            batch for n, batch in enumerate(self._unmerged) if n >= self._sent or batch.epoch > upto
+        ]
         self._sent -= len(self._unmerged) - len(left)
         self._unmerged = left
-        for push in self._unmerged:
-            for update in push.updates:
-                self._reapply(update)
-        for update in self._pairs:
-            self._reapply(update)
+        for batch in self._unmerged:
+            for update in batch.updates:
+                self._apply_over_shared(update)
+        for update in self._epoch_updates:
+            self._apply_over_shared(update)
 
     def skip_sync(self, upto: int) -> None:
         """Note that the shared table would not give what it has up to an epoch."""
         self._epoch = upto
 
     def close_epoch(self, tick: int, *, early: bool = False) -> bool:
-        """Make a push of the epoch's pairs if ``tick`` is its last one (or ``early``)."""
-        if not self._pairs or not (early or (tick + 1) % self._sync_every == 0):
+        """Make a batch of the epoch's updates if ``tick`` is its last one (or ``early``)."""
+        if not self._sync_every or not self._epoch_updates:
+            return False
+        if not early and (tick + 1) % self._sync_every != 0:
             return False
         epoch = tick // self._sync_every
-        push = UpdateBatch(self._leg, self._run, epoch, self._cells, tuple(self._pairs))
-        self._unmerged.append(push)
-        self._pairs.clear()
+        batch = UpdateBatch(self._leg, self._run, epoch, self._cells, tuple(self._epoch_updates))
+        self._unmerged.append(batch)
+        self._epoch_updates.clear()
         return True
 
-    def push_due(self) -> UpdateBatch | None:
-        """Return the oldest push that was not acknowledged, or None."""
+    def oldest_unacknowledged(self) -> UpdateBatch | None:
+        """Return the oldest batch that was not acknowledged, or None."""
         return self._unmerged[self._sent] if self._sent < len(self._unmerged) else None
 
-    def acknowledged(self, push: UpdateBatch) -> None:
-        """Note that the shared table has a push for good."""
-        if self.push_due() is push:
+    def acknowledged(self, batch: UpdateBatch) -> None:
+        """Note that the shared table has a batch for good."""
+        if self.oldest_unacknowledged() is batch:
             self._sent += 1
 
     def reset(self, last_tick: int, run: str) -> None:

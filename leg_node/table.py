@@ -42,7 +42,7 @@ class Table:
         self._value: Any = self.values.data
         self._visit: Any = self.visits.data
 
-    def parts(self, count: int) -> list[Table]:
+    def split(self, count: int) -> list[Table]:
         """Return ``count`` tables of equal size, one behind the other, that share this memory."""
         states = self.states // count
         cells = states * self.actions
@@ -68,16 +68,16 @@ class Table:
         row: list[float] = self._value[start : start + self.actions].tolist()
         return row
 
-    def cell(self, index: int) -> tuple[float, int]:
+    def read(self, cell: int) -> tuple[float, int]:
         """Return the value and the visits of one cell."""
-        return self._value[index], self._visit[index]
+        return self._value[cell], self._visit[cell]
 
-    def put(self, index: int, value: float, visits: int) -> None:
+    def write(self, cell: int, value: float, visits: int) -> None:
         """Overwrite one cell."""
-        self._value[index] = value
-        self._visit[index] = visits
+        self._value[cell] = value
+        self._visit[cell] = visits
 
-    def update(self, index: int, target: float, rate: Rate) -> float:
+    def update(self, cell: int, target: float, rate: Rate) -> float:
         """Move one cell towards ``target``: ``N += 1; Q += alpha (target - Q)``.
 
         ``alpha`` is ``1 / N`` within the bounds of ``rate``.
@@ -86,16 +86,16 @@ class Table:
             ``target - Q`` as it was before: the temporal-difference error.
         """
         floor, ceiling = rate
-        visits = self._visit[index] + 1
+        visits = self._visit[cell] + 1
         alpha = 1.0 / visits
         if alpha < floor:
             alpha = floor
         elif alpha > ceiling:
             alpha = ceiling
-        value: float = self._value[index]
+        value: float = self._value[cell]
         error = target - value
-        self._visit[index] = visits
-        self._value[index] = value + alpha * error
+        self._visit[cell] = visits
+        self._value[cell] = value + alpha * error
         return error
 
     def copy_from(self, other: Table) -> None:

@@ -21,7 +21,7 @@ from ember_ros.ros_params import declare_options, declare_params
 from ember_ros.spinning import node_main
 from ember_ros.throttle import Throttle
 from leg_node import calls
-from leg_node.assembly import empty_table, numbers_of
+from leg_node.assembly import empty_table, learning_params_of
 from leg_node.durable_table import MAX_LIFE, DurableTable
 from leg_node.store import Stored, TableStore
 from leg_node.table import Table
@@ -65,7 +65,7 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
         self.lock_name(topics.PUSH)  # before any file is touched: another table may own them
         self._save = Path(options["save"]) if options["save"] else None
         self._seed = options["seed"]
-        numbers = numbers_of(params, options["stage"])
+        learning_params = learning_params_of(params, options["stage"])
         cells = cells_sha256(params)
         self._store: TableStore | None = None
         self._loaded = False  # whether the table was read from a file
@@ -80,8 +80,8 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
                 table,
                 legs=len(params.robot.legs),
                 cells=cells,
-                rate=numbers.rate,
-                sync_every=numbers.sync_every,
+                rate=learning_params.rate,
+                sync_every=learning_params.sync_every,
                 life=1 + secrets.randbelow(MAX_LIFE),
                 store=self._store,
             )
@@ -227,7 +227,7 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
     def _on_learning(
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
-        self.shared.learning = request.data
+        self.shared.merges_pushes = request.data
         response.success = True
         response.message = "pushes are merged" if request.data else "pushes are dropped"
         self.get_logger().info(f"learning: {response.message}")

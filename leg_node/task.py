@@ -2,6 +2,11 @@
 
 Pure. Everything of a leg but its learner and its policy (paper, sections II, VI-A, VI-B):
 ``LegModule`` adds these two, and an environment for other learners leaves them to others.
+
+The timeline. Tick t: ``perceive(sense t)`` credits action t-1 and returns state t; ``act`` stores
+state t and action t as pending; sense t+1 credits them. So a ``Transition`` stamped t+1 describes
+tick t. With a learner that looks back (SARSA), an update's ``tick`` is when it became known, not
+the tick of its cell.
 """
 
 from __future__ import annotations
@@ -84,6 +89,7 @@ class LegTask:
             action: position of the knee speed in ``leg.knee_speeds``.
         """
         sense, gait, leg = perception.sense, perception.gait, self._leg
+        # ticks_to_stance is 0 in stance, so stance itself is included.
         as_stance = gait.ticks_to_stance <= self._lead
         self._pending = _Pending(sense.tick, perception.state, gait.stance, action, as_stance)
         speed = (gait.hip_goal - sense.hip) / self._tick_s
@@ -97,13 +103,15 @@ class LegTask:
         """Forget what was done: time began anew."""
         self._pending = None
 
-    def nothing_to_credit(self, tick: int, state: int, stance: bool) -> Transition:
+    def nothing_to_credit(self, *, tick: int, state: int, stance: bool) -> Transition:
         """Return the transition of a tick before which nothing was done."""
         terms = tuple((name, 0.0) for name in self._reward.names)
         return Transition(tick, -1, False, -1, terms, state, stance, td_error=0.0)
 
     def credit(self, sense: LegSense, state: int = -1, stance: bool = False) -> Transition:
         """Return what the tick that ended with ``sense`` was worth.
+
+        Reads only; may be called before ``perceive`` of the same tick.
 
         Args:
             sense: at the end of the tick.
@@ -115,7 +123,7 @@ class LegTask:
         """
         pending = self._pending
         if pending is None or sense.first_tick or pending.tick + 1 != sense.tick:
-            return self.nothing_to_credit(sense.tick, state, stance)
+            return self.nothing_to_credit(tick=sense.tick, state=state, stance=stance)
         applied = self._reward.terms(sense, pending.rewarded_as_stance)
         if not self._terms.issuperset(applied):
             raise ParameterError(

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ember_ros.params import Learning
+from ember_ros.params import LearningParams
 from leg_node.discretizer import Discretizer
 from leg_node.table import Floats, Table
 
@@ -18,8 +18,8 @@ from leg_node.table import Floats, Table
 class ValueEstimate(Protocol):
     """The values of a state's actions.
 
-    Made with ``(table, discretizer, numbers, ticks)``: the table to read, now and later; what its
-    states mean; the learning numbers of the stage; ticks of a cycle.
+    Made with ``(table, discretizer, learning_params, ticks)``: the table to read, now and later;
+    what its states mean; the learning parameters of the stage; ticks of a cycle.
     """
 
     def q_values(self, tick: int, state: int) -> list[float]:
@@ -28,18 +28,19 @@ class ValueEstimate(Protocol):
 
 
 def paper_or_smoothed(
-    table: Table, discretizer: Discretizer, numbers: Learning, ticks: int
+    table: Table, discretizer: Discretizer, learning_params: LearningParams, ticks: int
 ) -> ValueEstimate:
-    """Return ``SmoothedValues`` where the numbers ask for any of it, ``TableValues`` otherwise."""
-    kind = SmoothedValues if numbers.smooth > 0.0 or numbers.prior > 0.0 else TableValues
-    return kind(table, discretizer, numbers, ticks)
+    """Return ``SmoothedValues`` if ``smooth`` or ``prior`` is set, ``TableValues`` otherwise."""
+    smoothed = learning_params.smooth > 0.0 or learning_params.prior > 0.0
+    kind = SmoothedValues if smoothed else TableValues
+    return kind(table, discretizer, learning_params, ticks)
 
 
 class TableValues:
     """The paper's: the values as they stand in the table."""
 
     def __init__(
-        self, table: Table, discretizer: Discretizer, numbers: Learning, ticks: int
+        self, table: Table, discretizer: Discretizer, learning_params: LearningParams, ticks: int
     ) -> None:
         """Read from ``table``, now and later."""
         self._table = table
@@ -58,79 +59,103 @@ class SmoothedValues:
     that were hardly tried, less ``pessimism``: an untried action is not good merely because all
     others have been found to cost something.
 
+    Between two readings ``q_values`` returns a snapshot: neither updates nor pulls are seen before
+    the next reading. This also holds for the bootstrap value of the learner.
+
     Only sums, products and quotients of single numbers in an order of its own: the bits do not
-    hang on CPU, BLAS, width of SIMD or number of threads, as those of products of matrices do.
+    depend on CPU, BLAS, width of SIMD or number of threads, as those of products of matrices do.
     """
 
     def __init__(
-        self, table: Table, discretizer: Discretizer, numbers: Learning, ticks: int
+        self, table: Table, discretizer: Discretizer, learning_params: LearningParams, ticks: int
     ) -> None:
         """Read from ``table``, anew every ``smooth_every`` cycles.
 
         Args:
             table: now and later.
             discretizer: ``shape`` and ``neighbours`` of it.
-            numbers: ``smooth`` and its companions.
-            ticks: of a cycle.
+            learning_params: ``smooth`` and its companions.
+            ticks: of a nominal cycle.
         """
-        self._table, self._numbers = table, numbers
+        self._table, self._learning_params = table, learning_params
         self._shape = (*discretizer.shape, table.actions)
         # The axes as they are worked on: actions first, since they move in long stretches of
         # memory then. The order decides the last bits.
         last = len(self._shape) - 1
         self._order = (last, 0, *range(last - 1, 0, -1))
-        like = (*discretizer.neighbours, True)
-        self._spread = [n for n, axis in enumerate(self._order) if like[axis]]
-        self._every = numbers.smooth_every * ticks
-        self._turn = -1
+        neighbours = (*discretizer.neighbours, True)  # similar knee speeds do similar things
+        self._spread_axes = [place for place, axis in enumerate(self._order) if neighbours[axis]]
+        """Places in ``_order`` of the axes along which neighbours have a say."""
+        self._ticks_per_reading = learning_params.smooth_every * ticks
+        self._reading = -1
+        """Number of the present reading, counted from tick 0."""
         self._values: Floats = np.empty((table.states, table.actions))
+        """What was read, ``(states, actions)``."""
 
     def q_values(self, tick: int, state: int) -> list[float]:
         """Return what the table and its neighbourhood say of the state's actions."""
-        turn = tick // self._every
-        if turn != self._turn:
-            self._turn = turn
+        reading = tick // self._ticks_per_reading
+        if reading != self._reading:
+            self._reading = reading
             self._read()
         row: list[float] = self._values[state].tolist()
         return row
 
     def _read(self) -> None:
-        numbers = self._numbers
+        """Read the whole table into ``_values``.
+
+        With Q and N, the values and visits of all cells, and V, the mean Q of a state's actions by
+        weight, also over neighbours::
+
+            near     = min(N, visits_near)
+            own      = min(N, visits_own) - near
+            weight   = spread(near) + own
+            weighted = spread(near * Q) + own * Q
+            V        = sum of weighted / sum of weight, each over the actions
+            believed = (weighted + prior * (V - pessimism)) / (weight + prior)
+
+        ``spread`` adds to each cell its neighbours, by the kernel. All arrays have the axes of
+        ``_order``, (actions, first axis of the discretizer, its others from the last on); V has no
+        axis of actions.
+        """
+        params = self._learning_params
         values = self._table.values.reshape(self._shape).transpose(self._order)
         visits = self._table.visits.reshape(self._shape).transpose(self._order)
-        near = np.ascontiguousarray(np.minimum(visits, numbers.visits_near), dtype=float)
-        more = np.minimum(visits, numbers.visits_own) - near
-        both = np.empty((2, *near.shape))  # weights, and values by weight
-        weight, total = both
+        near = np.ascontiguousarray(np.minimum(visits, params.visits_near), dtype=float)
+        own = np.minimum(visits, params.visits_own) - near
+        both = np.empty((2, *near.shape))  # in one array, so that both are spread in one go
+        weight, weighted = both
         weight[:] = near
-        np.multiply(near, values, out=total)
-        for axis in self._spread:
-            _spread(both, axis + 1, numbers.smooth)
-        weight += more
-        total += more * values
-        known = _sum(weight)
-        state = np.divide(_sum(total), known, out=np.zeros_like(known), where=known > 0.0)
-        total += numbers.prior * (state - numbers.pessimism)
-        weight += numbers.prior
-        believed = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0.0)
-        back: Floats = believed.transpose(np.argsort(self._order))
-        self._values = back.reshape(self._table.states, self._table.actions)
+        np.multiply(near, values, out=weighted)
+        for axis in self._spread_axes:
+            _add_neighbours(both, axis + 1, params.smooth)
+        weight += own
+        weighted += own * values
+        state_weight = _sum(weight)
+        state_value = np.divide(
+            _sum(weighted), state_weight, out=np.zeros_like(state_weight), where=state_weight > 0.0
+        )
+        weighted += params.prior * (state_value - params.pessimism)
+        weight += params.prior
+        believed = np.divide(weighted, weight, out=np.zeros_like(weighted), where=weight > 0.0)
+        in_table_order: Floats = believed.transpose(np.argsort(self._order))
+        self._values = in_table_order.reshape(self._table.states, self._table.actions)
 
 
-def _spread(field: Floats, axis: int, share: float) -> None:
+def _add_neighbours(field: Floats, axis: int, share: float) -> None:
     """Add to every bin of an axis ``share ** distance`` of every other one, in place.
 
     What has come from one side is carried on from bin to bin: two sums a bin.
     """
     bins = list(np.moveaxis(field, axis, 0))
     last = len(bins) - 1
-    above = [np.zeros_like(bins[0])]  # what the bins beyond each one give it, the last one first
+    from_above = [np.zeros_like(bins[0])]  # what each bin is given by those above, last bin first
     for n in range(last, 0, -1):
-        above.append(share * (bins[n] + above[-1]))
+        from_above.append(share * (bins[n] + from_above[-1]))
     for n in range(1, last + 1):
         bins[n] += share * bins[n - 1]  # which has its share of all before it already
     for n in range(last):
-        bins[n] += above[last - n]
+        bins[n] += from_above[last - n]
 
 
 def _sum(field: Floats) -> Floats:

@@ -13,7 +13,7 @@ import pytest
 from ember_ros import parts
 from ember_ros.errors import ParameterError
 from ember_ros.loop import Loop
-from ember_ros.params import TRAINER_LEG, Learning, Params, replace
+from ember_ros.params import TRAINER_LEG, LearningParams, Params, replace
 from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, LegSense, TDUpdate, Transition
 from leg_node.assembly import empty_table, make_discretizer, make_leg
@@ -79,13 +79,13 @@ class DoubleQ:
     def __init__(
         self,
         estimates: Sequence[ValueEstimate],
-        numbers: Learning,
+        learning_params: LearningParams,
         shape: tuple[int, int],
         rng: np.random.Generator,
     ) -> None:
         """Take two estimates."""
         self._one, self._two = estimates
-        self._gamma, (self._states, self._actions), self._rng = numbers.gamma, shape, rng
+        self._gamma, (self._states, self._actions), self._rng = learning_params.gamma, shape, rng
 
     def q_values(self, tick: int, state: int) -> list[float]:
         """Return the sums."""
@@ -101,7 +101,7 @@ class DoubleQ:
         cell = (own * self._states + transition.state) * self._actions + transition.action
         return [TDUpdate(transition.tick, cell, transition.reward + self._gamma * best)]
 
-    def reset(self) -> Iterable[TDUpdate]:
+    def flush(self) -> Iterable[TDUpdate]:
         """Return nothing."""
         return []
 
@@ -110,10 +110,15 @@ class Fifth:
     """A policy of one's own: always the fifth speed; it keeps what it was made with."""
 
     def __init__(
-        self, params: Params, numbers: Learning, q_values: Any, rng: Any, start_cycle: int
+        self,
+        params: Params,
+        learning_params: LearningParams,
+        q_values: Any,
+        rng: Any,
+        start_cycle: int,
     ) -> None:
         """Keep what it was made with."""
-        self.made_with = (numbers, q_values(0, 0), start_cycle)
+        self.made_with = (learning_params, q_values(0, 0), start_cycle)
 
     def choose(self, sense: LegSense, gait: GaitStep, state: int) -> int:
         """Return the fifth."""
@@ -316,7 +321,7 @@ def test_a_learner_of_two_tables_learns_in_both() -> None:
     )
     for _ in range(96):
         loop.tick()
-    one, two = loop.finish().parts(2)
+    one, two = loop.finish().split(2)
     assert one.visits.sum() + two.visits.sum() == 4 * 95
     assert min(one.visits.sum(), two.visits.sum()) > 4 * 95 / 3
     leg = loop.legs[0]
@@ -335,14 +340,14 @@ def test_a_learner_of_two_tables_learns_in_both() -> None:
 def test_one_part_is_the_table_itself() -> None:
     """No copy, no view."""
     table = Table(4, 3)
-    assert table.parts(1) == [table]
+    assert table.split(1) == [table]
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_parts_lie_one_behind_the_other_in_one_memory(count: int) -> None:
     """What is written by the whole is read by a part and the other way round, cell by cell."""
     table, states = Table(12, 3), 12 // count
-    shares = table.parts(count)
+    shares = table.split(count)
     assert [(part.states, part.actions, len(part)) for part in shares] == [
         (states, 3, 3 * states)
     ] * count
@@ -350,10 +355,10 @@ def test_parts_lie_one_behind_the_other_in_one_memory(count: int) -> None:
         for state in range(states):
             for action in range(3):
                 cell = (n * states + state) * 3 + action
-                table.put(cell, float(cell), cell)
-                assert part.cell(state * 3 + action) == (float(cell), cell)
-                part.put(state * 3 + action, -float(cell), 2 * cell)
-                assert table.cell(cell) == (-float(cell), 2 * cell)
+                table.write(cell, float(cell), cell)
+                assert part.read(state * 3 + action) == (float(cell), cell)
+                part.write(state * 3 + action, -float(cell), 2 * cell)
+                assert table.read(cell) == (-float(cell), 2 * cell)
             assert part.row(state) == table.row(n * states + state)
             assert np.shares_memory(part.values, table.values)
             assert np.shares_memory(part.visits, table.visits)
@@ -364,7 +369,7 @@ def test_what_replaces_the_whole_is_seen_by_its_parts() -> None:
     table, other = Table(4, 2), Table(4, 2)
     other.values[:] = range(8)
     discretizer: Discretizer = Shaped(PARAMS)
-    reads = [TableValues(part, discretizer, PARAMS.walk, 32) for part in table.parts(2)]
+    reads = [TableValues(part, discretizer, PARAMS.walk, 32) for part in table.split(2)]
     table.copy_from(other)
     assert [each.q_values(0, 1) for each in reads] == [[2.0, 3.0], [6.0, 7.0]]
 
@@ -375,4 +380,4 @@ def test_a_learner_of_three_tables_has_all_states_in_each(
     """The shared table is as many times as long."""
     monkeypatch.setattr(DoubleQ, "tables", 3)
     table = empty_table(named(discretizer="Shaped", learner="DoubleQ"))
-    assert [part.states for part in table.parts(3)] == [6, 6, 6]
+    assert [part.states for part in table.split(3)] == [6, 6, 6]

@@ -263,7 +263,7 @@ def test_a_broken_promise_is_told(kind: type[World]) -> None:
 
 
 class OneLegged(FakeWorld):
-    """A world of one's own, with legs and learning numbers of its own."""
+    """A world of one's own, with legs and learning parameters of its own."""
 
     stage = "train"
 

@@ -97,7 +97,7 @@ class LoggedRandom:
     """A random policy that logs its actions, also of ticks without a transition (before a fall)."""
 
     def __init__(
-        self, params: Params, hyperparameters: Any, q_values: Any, rng: Any, start: int
+        self, params: Params, learning_params: Any, q_values: Any, rng: Any, start: int
     ) -> None:
         self._rng, self._actions = rng, len(params.leg.knee_speeds)
 

@@ -22,7 +22,7 @@ from ember_ros.arrays import Ticks
 from ember_ros.cli.run import config_from_options
 from ember_ros.errors import MissingError, ParameterError, RunError, TableError
 from ember_ros.loop import Loop
-from ember_ros.params import Learning, params_sha256, replace
+from ember_ros.params import LearningParams, params_sha256, replace
 from ember_ros.params_file import load_params
 from ember_ros.report.run_statistics import RunStatistics
 from ember_ros.run import run
@@ -59,8 +59,8 @@ class Softly(PaperReward):
 
     names = (*PaperReward.names, "softly")
 
-    def terms(self, sense: er.LegSense, stance: bool) -> dict[str, float]:
-        return {**super().terms(sense, stance), "softly": -0.01 * sense.force_peak}
+    def terms(self, sense: er.LegSense, as_stance: bool) -> dict[str, float]:
+        return {**super().terms(sense, as_stance), "softly": -0.01 * sense.force_peak}
 
 
 class Coarse:
@@ -90,11 +90,11 @@ class Double(QLearning):
     def __init__(
         self,
         estimates: Sequence[er.ValueEstimate],
-        numbers: Learning,
+        learning_params: LearningParams,
         shape: tuple[int, int],
         rng: np.random.Generator,
     ) -> None:
-        super().__init__(estimates[:1], numbers, shape, rng)
+        super().__init__(estimates[:1], learning_params, shape, rng)
 
 
 class Still:
@@ -342,7 +342,7 @@ def test_a_class_that_cannot_be_found_again_is_refused() -> None:
 
 
 def test_every_part_can_be_a_class() -> None:
-    """World, policy and learner of one's own; the world says which learning numbers hold."""
+    """World, policy and learner of one's own; the world says which learning parameters hold."""
     done = walked(2, world=Bench, policy=Still, learner=Double, discretizer=Coarse)
     assert (done.config.stage, done.config.learning) == ("train", True)
     assert (done.actions == len(done.params.leg.knee_speeds) - 1).all()

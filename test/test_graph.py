@@ -221,7 +221,7 @@ def test_a_graph_that_is_stopped_early_keeps_what_was_learnt(ros: Ros) -> None:
         # A leg learns of every tick but the first; of the present one if it was its turn already.
         assert 4 * (acted - 1 - falls) <= table.visits.sum() <= 4 * (acted - falls)
         legs = [graph.nodes[name].module.copy for name in LEG_NODES]
-        assert not any(copy.push_due() for copy in legs)
+        assert not any(copy.oldest_unacknowledged() for copy in legs)
 
 
 # -- falls -------------------------------------------------------------------------------------
@@ -558,7 +558,9 @@ def test_what_legs_kept_is_handed_in_at_the_end_too(ros: Ros) -> None:
     robot.sim.finish(ros.spin_once)
     for name in LEG_NODES:
         robot.nodes[name].finish(ros.spin_once)
-    assert [name for name in LEG_NODES if robot.nodes[name].module.copy.push_due()] == []
+    assert [
+        name for name in LEG_NODES if robot.nodes[name].module.copy.oldest_unacknowledged()
+    ] == []
 
 
 @pytest.mark.slow
@@ -619,13 +621,13 @@ def test_a_leg_in_a_new_life_lays_no_pair_twice() -> None:
     )
 
     def epoch(first: int, last: int) -> None:
-        upto = copy.pull_due(first)
+        upto = copy.epoch_to_pull(first)
         if upto is not None:
             copy.apply(shared.pull(copy.version, upto), upto)
         for tick in range(first, last + 1):
             copy.learn(TDUpdate(tick, tick % 7, tick / 9))
         copy.close_epoch(last)
-        while (push := copy.push_due()) is not None:
+        while (push := copy.oldest_unacknowledged()) is not None:
             shared.push(push)
             copy.acknowledged(push)
 

@@ -196,9 +196,9 @@ class PaidForSpeed:
     def __init__(self, params: Params) -> None:
         """Take nothing from the parameters."""
 
-    def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
+    def terms(self, sense: LegSense, as_stance: bool) -> dict[str, float]:
         """Return both."""
-        return {"speed": abs(sense.knee_speed), **({"fine": -0.5} if stance else {})}
+        return {"speed": abs(sense.knee_speed), **({"fine": -0.5} if as_stance else {})}
 
 
 def test_what_is_reported_is_what_was_paid() -> None:

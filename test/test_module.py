@@ -70,7 +70,7 @@ def test_a_leg_is_q_learning() -> None:
     """400 ticks are one-step Q-learning, written here a second time from senses and commands."""
     leg, plain = module(seed=5), empty_table(PARAMS)
     partition, rewarder = PaperDiscretizer(PARAMS), PaperReward(PARAMS)
-    gait, numbers = PlainGait(PARAMS), PARAMS.walk
+    gait, learning_params = PlainGait(PARAMS), PARAMS.walk
     before: list[tuple[int, int, bool]] = []
 
     def learn(sense: LegSense, command: LegCommand) -> None:
@@ -78,8 +78,10 @@ def test_a_leg_is_q_learning() -> None:
         state = partition.index(sense, stance)
         if before:
             old_state, old_action, old_stance = before.pop()
-            target = paid(rewarder, sense, old_stance) + numbers.gamma * max(plain.row(state))
-            plain.update(old_state * 9 + old_action, target, numbers.rate)
+            target = paid(rewarder, sense, old_stance) + learning_params.gamma * max(
+                plain.row(state)
+            )
+            plain.update(old_state * 9 + old_action, target, learning_params.rate)
         before.append((state, SPEEDS.index(command.knee_speed), stance))
         assert leg.copy.table.sha256() == plain.sha256()
 
@@ -157,7 +159,7 @@ def test_with_learning_off_the_table_never_changes() -> None:
     frozen = module(seed=3, table=table, learning=False)
     live(frozen, 300, world=FakeWorld((TRAINER_LEG,), PARAMS, falls_at={40}))
     assert frozen.copy.table.sha256() == learnt.copy.table.sha256()
-    assert frozen.copy.push_due() is None
+    assert frozen.copy.oldest_unacknowledged() is None
 
 
 @pytest.mark.parametrize("policy", ["scripted", "random"])
@@ -168,7 +170,7 @@ def test_policies_without_a_table_are_rewarded_too(policy: str) -> None:
     assert visits(leg) == 99
 
 
-def test_the_stage_decides_the_learning_numbers() -> None:
+def test_the_stage_decides_the_learning_parameters() -> None:
     """With ``train`` the floor and gamma of training hold, with ``walk`` those of walking."""
     other = {"walk.alpha_ceiling": 1.0, "walk.alpha_floor": 1.0, "walk.gamma": 0.0}
     params = replace(PARAMS, other)
@@ -206,7 +208,7 @@ def transitions(
     told = []
 
     def look(sense: LegSense, command: LegCommand) -> None:
-        told.append((leg.transition, sense, command))
+        told.append((leg.last_transition, sense, command))
 
     world = FakeWorld((leg.leg,), PARAMS, falls_at=falls_at)
     live(leg, ticks, world=world, missed=missed, seen=look)
@@ -246,9 +248,9 @@ def test_the_error_is_the_target_less_the_value_before() -> None:
     world = FakeWorld((TRAINER_LEG,), PARAMS)
     for tick in range(200):
         live(leg, 1, world=world, begin=tick)
-        did = leg.transition
+        did = leg.last_transition
         if did.credited:
-            believed = before.cell(did.state * 9 + did.action)[0]
+            believed = before.read(did.state * 9 + did.action)[0]
             best = max(before.row(did.next_state))
             assert did.td_error == did.reward + PARAMS.walk.gamma * best - believed
         before.copy_from(leg.copy.table)
@@ -281,9 +283,9 @@ class Remembering:
         due, self.waiting = self.waiting, [TDUpdate(transition.tick, transition.tick, 1.0)]
         return due
 
-    def reset(self) -> list[TDUpdate]:
+    def flush(self) -> list[TDUpdate]:
         """Return the update that waits."""
-        self.asked.append("reset")
+        self.asked.append("flush")
         due, self.waiting = self.waiting, []
         return due
 
@@ -308,7 +310,7 @@ def test_what_waits_is_learnt_where_the_chain_breaks() -> None:
     world = FakeWorld((TRAINER_LEG,), PARAMS, falls_at={4})
     live(leg, 7, world=world)
     assert learner.asked == [
-        "reset", "learn 1", "learn 2", "learn 3", "reset", "learn 5", "learn 6",
+        "flush", "learn 1", "learn 2", "learn 3", "flush", "learn 5", "learn 6",
     ]  # fmt: skip
     assert leg.copy.table.visits.nonzero()[0].tolist() == [1, 2, 3, 5]
     leg.finish()
@@ -322,7 +324,7 @@ def test_a_new_life_ends_the_old_one_first() -> None:
     leg, _ = remembering()
     live(leg, 4)
     leg.reset(3, "another life")
-    push = leg.copy.push_due()
+    push = leg.copy.oldest_unacknowledged()
     assert push is not None
     assert push.run == "run"
     assert [update.cell for update in push.updates] == [1, 2, 3]
@@ -332,7 +334,7 @@ def test_the_error_is_of_the_last_update_that_was_made() -> None:
     """Where a learner updates late, 0 while it waits, then that of what it updates."""
     leg, _ = remembering()
     errors = []
-    live(leg, 4, seen=lambda sense, command: errors.append(leg.transition.td_error))
+    live(leg, 4, seen=lambda sense, command: errors.append(leg.last_transition.td_error))
     assert errors == [0.0, 0.0, 1.0, 1.0]
 
 
@@ -453,9 +455,9 @@ def test_a_leg_that_shares_keeps_its_pairs() -> None:
     leg, due = module("front_right", shared=True), []
     live(leg, TICKS - 1)
     leg.copy.close_epoch(TICKS - 2)
-    assert leg.copy.push_due() is None
+    assert leg.copy.oldest_unacknowledged() is None
     leg.copy.close_epoch(TICKS - 1)
-    due.append(leg.copy.push_due())
+    due.append(leg.copy.oldest_unacknowledged())
     assert due[0] is not None
     assert (due[0].leg, due[0].epoch) == (1, 0)
     assert [update.tick for update in due[0].updates] == list(range(1, TICKS - 1))

@@ -981,12 +981,12 @@ def test_a_push_that_cannot_be_stored_is_kept_by_the_leg(ros: Ros, tmp_path: Pat
     legs = [robot.nodes[f"leg_{leg}"] for leg in LEGS]
     ros.spin_until(lambda: all(leg._table_absent for leg in legs), "all legs walk alone")
     robot.walk_to(robot.tick + 100)
-    waiting = [leg.module.copy.push_due() for leg in legs]
+    waiting = [leg.module.copy.oldest_unacknowledged() for leg in legs]
     assert all(waiting)
     (tmp_path / "away").rename(store)
     ros.spin_until(lambda: not any(leg._table_absent for leg in legs), "the table takes pushes")
     robot.walk_to(robot.tick + 64)
-    assert all(leg.module.copy.push_due() not in waiting for leg in legs)
+    assert all(leg.module.copy.oldest_unacknowledged() not in waiting for leg in legs)
     robot.finish()
     falls = robot.sim.recorder.summary()["falls"]
     table, _ = load_table(save, Params())

@@ -18,7 +18,7 @@ from ember_ros.errors import EmberError, ParameterError
 from ember_ros.params import (
     SPECS,
     Gait,
-    Learning,
+    LearningParams,
     Leg,
     Params,
     State,
@@ -349,7 +349,7 @@ def test_what_is_refused_is_not_said_in_full(changes: dict[str, Any]) -> None:
         lambda: Params(gait=Gait(period=math.nan)),
         lambda: Params(leg=Leg(thigh_length=-1.0)),
         lambda: Params(trainer=Trainer(stop_low=0.6)),
-        lambda: Params(walk=Learning(gamma=1.5)),
+        lambda: Params(walk=LearningParams(gamma=1.5)),
     ],
 )
 def test_parameters_made_by_hand_are_checked_too(make: Callable[[], Params]) -> None:

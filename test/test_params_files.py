@@ -46,9 +46,9 @@ def test_a_body_is_a_body_alone(name: str, length: float, half_width: float) -> 
 def test_plain_is_the_papers_learner() -> None:
     """A constant rate, the table as it is, a reward that switches with the hip; no other change."""
     plain, default = load_params("plain"), Params()
-    for numbers in (plain.train, plain.walk):
-        assert numbers.rate.floor == numbers.rate.ceiling
-        assert numbers.smooth == numbers.prior == 0.0
+    for learning_params in (plain.train, plain.walk):
+        assert learning_params.rate.floor == learning_params.rate.ceiling
+        assert learning_params.smooth == learning_params.prior == 0.0
     assert plain.reward.lead == 0
     same = [group for group, part in as_dict(plain).items() if part == as_dict(default)[group]]
     assert set(same) == {

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ember_ros.kinematics import height
-from ember_ros.params import Learning, Params, replace
+from ember_ros.params import LearningParams, Params, replace
 from ember_ros.randomness import WORLD, generator
 from ember_ros.signals import LegSense
 from leg_node.gait import GaitStep, HipRamp
@@ -44,16 +44,22 @@ def greedy(
     """Return a policy over a table of these rows."""
     table = Table(len(rows), len(rows[0]))
     table.values[:] = np.ravel(rows)
-    learning = Learning(epsilon_start=start, epsilon_end=end, epsilon_cycles=cycles)
-    return over(table, learning, seed)
+    learning_params = LearningParams(epsilon_start=start, epsilon_end=end, epsilon_cycles=cycles)
+    return over(table, learning_params, seed)
 
 
-def over(table: Table, learning: Learning, seed: int = 1, start_cycle: int = 0) -> EpsilonGreedy:
+def over(
+    table: Table, learning_params: LearningParams, seed: int = 1, start_cycle: int = 0
+) -> EpsilonGreedy:
     """Return a policy over a table, with as many knee speeds as it has actions."""
     speeds = tuple(float(n) for n in range(table.actions))
     params = replace(PARAMS, {"leg.knee_speeds": speeds})
     return EpsilonGreedy(
-        params, learning, lambda tick, state: table.row(state), generator(seed, 0), start_cycle
+        params,
+        learning_params,
+        lambda tick, state: table.row(state),
+        generator(seed, 0),
+        start_cycle,
     )
 
 
@@ -62,11 +68,16 @@ def over(table: Table, learning: Learning, seed: int = 1, start_cycle: int = 0) 
 
 def test_epsilon_falls_by_the_cycle_then_stays() -> None:
     """Linear from start to end over the cycles given, in steps of a cycle, constant after."""
-    learning = Learning(epsilon_start=0.5, epsilon_end=0.1, epsilon_cycles=4)
-    shares = [epsilon_at(learning, cycle) for cycle in range(8)]
+    learning_params = LearningParams(epsilon_start=0.5, epsilon_end=0.1, epsilon_cycles=4)
+    shares = [epsilon_at(learning_params, cycle) for cycle in range(8)]
     assert shares == pytest.approx([0.5, 0.4, 0.3, 0.2, 0.1, 0.1, 0.1, 0.1])
     assert shares[0] == 0.5
-    assert shares[4] == shares[7] == epsilon_at(learning, 10**9) == pytest.approx(0.1, abs=1e-16)
+    assert (
+        shares[4]
+        == shares[7]
+        == epsilon_at(learning_params, 10**9)
+        == pytest.approx(0.1, abs=1e-16)
+    )
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
@@ -79,7 +90,7 @@ def test_epsilon_falls_by_the_cycle_then_stays() -> None:
 def test_epsilon_stays_between_its_ends(start: float, end: float, cycles: int, cycle: int) -> None:
     """Whichever way it goes, it is never under the one or over the other end."""
     epsilon = epsilon_at(
-        Learning(epsilon_start=start, epsilon_end=end, epsilon_cycles=cycles), cycle
+        LearningParams(epsilon_start=start, epsilon_end=end, epsilon_cycles=cycles), cycle
     )
     assert min(start, end) - 1e-15 <= epsilon <= max(start, end) + 1e-15
 
@@ -134,20 +145,21 @@ def test_the_share_follows_the_tick_over_missed_ticks() -> None:
 def test_the_table_is_read_as_it_is_now() -> None:
     """A policy keeps no copy of the values: what was learnt this tick counts this tick."""
     table = Table(1, 2)
-    policy = over(table, Learning(epsilon_start=0.0, epsilon_end=0.0))
+    policy = over(table, LearningParams(epsilon_start=0.0, epsilon_end=0.0))
     for best in (0, 1, 0):
-        table.put(best, 1.0, 1)
-        table.put(1 - best, 0.0, 1)
+        table.write(best, 1.0, 1)
+        table.write(1 - best, 0.0, 1)
         assert policy.choose(sense(), STEP, 0) == best
 
 
 def test_exploration_goes_on_from_the_cycles_that_were_learnt_before() -> None:
     """A leg that starts at cycle 3 of a schedule explores as one that lived through three."""
-    table, learning = Table(1, 2), Learning(epsilon_start=1.0, epsilon_end=0.0, epsilon_cycles=3)
-    table.put(1, 1.0, 1)
-    later = over(table, learning, start_cycle=3)
+    table = Table(1, 2)
+    learning_params = LearningParams(epsilon_start=1.0, epsilon_end=0.0, epsilon_cycles=3)
+    table.write(1, 1.0, 1)
+    later = over(table, learning_params, start_cycle=3)
     assert {later.choose(sense(tick), STEP, 0) for tick in range(2 * TICKS)} == {1}
-    fresh = over(table, learning)
+    fresh = over(table, learning_params)
     assert {fresh.choose(sense(tick), STEP, 0) for tick in range(TICKS)} == {0, 1}
 
 

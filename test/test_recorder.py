@@ -64,7 +64,7 @@ def run(ticks: int, *, falls_at: Sequence[int] = (), legs: Sequence[str] = LEGS)
             pitch=-0.2 * wave,
             yaw=0.3,
         )
-        paid = tuple(leg.transition for leg in modules)
+        paid = tuple(leg.last_transition for leg in modules)
         heard.append(Tick(beat(tick), senses, commands, body, paid))
         world.step(beat(tick), commands)
     return heard

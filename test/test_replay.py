@@ -838,7 +838,7 @@ def test_a_stopped_replay_says_that_it_was_stopped(tmp_path: Path) -> None:
 
 
 def test_legs_of_another_stage_are_not_replayed_as_of_this_one() -> None:
-    """A card whose legs had other learning numbers than its world asks for is refused in words."""
+    """A card whose legs had other learning parameters than its world has is refused in words."""
     with Bag(KEPT) as bag:
         assert bag.run_metadata is not None
         legs = {leg: told._replace(stage="train") for leg, told in bag.run_metadata.legs.items()}

@@ -43,7 +43,7 @@ def test_exploration_continues_from_start_cycle(tmp_path: Path) -> None:
         loop, actions = Loop(config, FakeWorld(("leg",), EXPLORING)), set()
         for _ in range(10):
             loop.tick()
-            actions.add(loop.legs[0].transition.action)
+            actions.add(loop.legs[0].last_transition.action)
         actions_by_start.append(actions - {-1})
     assert epsilon_at(EXPLORING.train, 20) == 0.0
     assert len(actions_by_start[0]) > 3

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ember_ros.loop import Loop
-from ember_ros.params import Learning, Params, replace
+from ember_ros.params import LearningParams, Params, replace
 from ember_ros.randomness import generator
 from ember_ros.run_config import RunConfig
 from ember_ros.signals import TDUpdate, Transition
@@ -35,8 +35,8 @@ class Believed:
 
 def learner() -> SarsaLambda:
     """Return a learner over the chain."""
-    numbers = Learning(gamma=GAMMA)
-    return SarsaLambda([Believed()], numbers, (len(VALUES), ACTIONS), generator(0, 0))
+    learning_params = LearningParams(gamma=GAMMA)
+    return SarsaLambda([Believed()], learning_params, (len(VALUES), ACTIONS), generator(0, 0))
 
 
 def step(tick: int, state: int, action: int, reward: float, next_state: int) -> Transition:
@@ -58,7 +58,7 @@ def learn(chain: Sequence[Transition], agent: SarsaLambda | None = None) -> list
     """Return all updates of a chain, its end included."""
     agent = agent or learner()
     updates = [update for each in chain for update in agent.learn(each)]
-    return [*updates, *agent.reset()]
+    return [*updates, *agent.flush()]
 
 
 def by_definition(chain: Sequence[Transition], n: int, weight: float) -> float:
@@ -129,7 +129,7 @@ def test_an_update_waits_until_the_horizon_is_known() -> None:
         assert all(update.tick == did.tick for update in updates)
         counts.append(len(updates))
     assert counts == [0] * HORIZON + [1] * 5
-    rest = list(agent.reset())
+    rest = list(agent.flush())
     assert len(rest) == HORIZON
     assert {update.tick for update in rest} == {HORIZON + 5}
 
@@ -139,8 +139,8 @@ def test_a_reset_empties_it() -> None:
     agent = learner()
     for did in CHAIN:
         agent.learn(did)
-    assert len(list(agent.reset())) == 3
-    assert list(agent.reset()) == []
+    assert len(list(agent.flush())) == 3
+    assert list(agent.flush()) == []
     later = [did._replace(tick=did.tick + 100) for did in long_chain(12)]
     assert learn(later, agent) == learn(later)
 

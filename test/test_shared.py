@@ -22,12 +22,12 @@ few = settings(max_examples=60, deadline=None, derandomize=True)
 
 targets = st.floats(-10.0, 10.0)
 finite = st.floats(allow_nan=False, allow_infinity=False)
-some_pairs = st.lists(
+some_updates = st.lists(
     st.tuples(st.integers(0, 3), st.integers(0, STATES * ACTIONS - 1), targets), max_size=5
 )
-# (leg, epoch): pairs of it, at ticks 4 * epoch to 4 * epoch + 3
+# (leg, epoch): updates of it, at ticks 4 * epoch to 4 * epoch + 3
 histories = st.dictionaries(
-    st.tuples(st.integers(0, 3), st.integers(0, 4)), some_pairs, max_size=12
+    st.tuples(st.integers(0, 3), st.integers(0, 4)), some_updates, max_size=12
 )
 
 
@@ -55,7 +55,7 @@ def content(table: Table) -> tuple[bytes, bytes]:
 
 
 def in_order(pushes: list[UpdateBatch]) -> Table:
-    """Return what the design asks for: pairs one by one in the order (epoch, tick, leg)."""
+    """Return what the design asks for: updates one by one in the order (epoch, tick, leg)."""
     table = Table(STATES, ACTIONS)
     every = [
         (p.epoch, update.tick, p.leg, n, update)
@@ -94,7 +94,7 @@ def test_pairs_of_one_epoch_merge_by_tick_and_leg() -> None:
     value = 0.0
     for n, target in enumerate((4.0, 2.0, 8.0, 16.0), start=1):
         value += max(RATE.floor, 1.0 / n) * (target - value)
-    assert table.table.cell(5) == (value, 4)
+    assert table.table.read(5) == (value, 4)
 
 
 def test_epochs_merge_one_after_the_other() -> None:
@@ -117,7 +117,7 @@ def test_many_visits_of_one_cell_do_not_overshoot() -> None:
     for leg in range(4):
         table.push(push(leg, 0, (leg, 5, 1.0), (3, 5, 1.0)))
     table.merge()
-    assert table.table.cell(5) == (1.0, 8)
+    assert table.table.read(5) == (1.0, 8)
 
 
 # -- once ----------------------------------------------------------------------------------------
@@ -143,7 +143,7 @@ def test_a_repeated_push_changes_nothing(
 
 
 def test_a_push_is_named_by_leg_run_and_epoch() -> None:
-    """Another leg, another life or another epoch is another push; the pairs do not name it."""
+    """Another leg, another life or another epoch is another push; the updates do not name it."""
     table = shared_table()
     assert table.push(push(0, 3, (12, 1, 1.0)))
     assert not table.push(push(0, 3, (12, 2, 2.0)))
@@ -188,7 +188,7 @@ def test_a_refused_push_changes_nothing(name: str) -> None:
     assert content(table.table) == content(Table(STATES, ACTIONS))
     assert table.push(right)
     table.merge()
-    assert table.table.cell(1)[1] == 2
+    assert table.table.read(1)[1] == 2
 
 
 # -- what changed --------------------------------------------------------------------------------
@@ -332,7 +332,7 @@ def test_epochs_that_nobody_pulls_still_count() -> None:
     table = shared_table()
     for each in pushes:
         table.push(each)
-    assert 0 < table.table.cell(1)[1] < 200
+    assert 0 < table.table.read(1)[1] < 200
     table.merge()
     assert content(table.table) == content(in_order(pushes))
 
@@ -343,9 +343,9 @@ def test_epochs_that_nobody_pulls_still_count() -> None:
 def test_learning_off_drops_what_is_pushed() -> None:
     """Pushes are acknowledged and named as taken, and change nothing, now or later."""
     table = shared_table()
-    table.learning = False
+    table.merges_pushes = False
     assert table.push(push(0, 0, (0, 1, 3.0)))
-    table.learning = True
+    table.merges_pushes = True
     assert not table.push(push(0, 0, (0, 1, 3.0)))
     assert table.pull(0, 0).cells.tolist() == []
     table.push(push(0, 1, (4, 1, 3.0)))
@@ -355,7 +355,7 @@ def test_learning_off_drops_what_is_pushed() -> None:
 def test_learning_off_keeps_refusing_what_is_wrong() -> None:
     """A malformed push is told so whether or not it would count."""
     table = shared_table()
-    table.learning = False
+    table.merges_pushes = False
     with pytest.raises(UpdateError):
         table.push(push(0, 0, (0, 99, 3.0)))
 
@@ -424,14 +424,14 @@ class Machine:
 
     def begin(self, copy: LocalCopy, tick: int) -> None:
         """Let a copy pull what is due at a tick."""
-        upto = copy.pull_due(tick)
+        upto = copy.epoch_to_pull(tick)
         if upto is not None:
             copy.apply(self.shared.pull(copy.version, upto), upto)
 
     def end(self, copy: LocalCopy, tick: int, *, early: bool = False) -> None:
         """Let a copy push what is due after a tick."""
         copy.close_epoch(tick, early=early)
-        while (due := copy.push_due()) is not None:
+        while (due := copy.oldest_unacknowledged()) is not None:
             self.shared.push(due)
             copy.acknowledged(due)
 
@@ -450,7 +450,7 @@ learnt = st.lists(
 def test_a_copy_is_the_shared_table_and_one_s_own_pairs(
     ticks: list[list[tuple[int, float] | None]], sync_every: int
 ) -> None:
-    """At any time: everybody's pairs of the epochs pulled, then one's own since, and no others."""
+    """At any time: all updates of the epochs pulled, then one's own since, and no others."""
     machine = Machine(3, sync_every)
     done: dict[int, list[TDUpdate]] = defaultdict(list)
     pushed: list[UpdateBatch] = []
@@ -515,11 +515,11 @@ def test_a_copy_of_its_own_never_syncs() -> None:
     copy = LocalCopy(Table(STATES, ACTIONS), leg=0, run="run", cells=CELLS, rate=RATE, sync_every=0)
     plain = Table(STATES, ACTIONS)
     for tick in range(50):
-        assert copy.pull_due(tick) is None
+        assert copy.epoch_to_pull(tick) is None
         copy.learn(TDUpdate(tick, tick % 5, float(tick)))
         plain.update(tick % 5, float(tick), RATE)
         copy.close_epoch(tick, early=True)
-        assert copy.push_due() is None
+        assert copy.oldest_unacknowledged() is None
     assert content(copy.table) == content(plain)
 
 
@@ -529,7 +529,7 @@ def test_a_pull_is_due_once_an_epoch() -> None:
     (copy,) = machine.copies
     due = []
     for tick in (0, 1, 3, 4, 5, 14, 15, 16):
-        due.append(copy.pull_due(tick))
+        due.append(copy.epoch_to_pull(tick))
         machine.begin(copy, tick)
     assert due == [-1, None, None, 0, None, 2, None, 3]
 
@@ -541,16 +541,16 @@ def test_a_push_stays_due_until_it_is_acknowledged() -> None:
     for tick in range(2):
         copy.learn(TDUpdate(tick, 1, 1.0))
         copy.close_epoch(tick)
-    first = copy.push_due()
+    first = copy.oldest_unacknowledged()
     assert first == push(0, 0, (0, 1, 1.0))
-    assert copy.push_due() is first
+    assert copy.oldest_unacknowledged() is first
     copy.acknowledged(push(3, 0))
-    assert copy.push_due() is first
+    assert copy.oldest_unacknowledged() is first
     copy.acknowledged(first)
-    second = copy.push_due()
+    second = copy.oldest_unacknowledged()
     assert second == push(0, 1, (1, 1, 1.0))
     copy.acknowledged(second)
-    assert copy.push_due() is None
+    assert copy.oldest_unacknowledged() is None
 
 
 def test_what_is_not_acknowledged_is_kept_over_pulls() -> None:
@@ -566,7 +566,7 @@ def test_what_is_not_acknowledged_is_kept_over_pulls() -> None:
     machine.end(copy, 6)
     machine.begin(copy, 7)
     assert content(copy.table) == content(machine.shared.table) == content(plain)
-    assert copy.push_due() is None
+    assert copy.oldest_unacknowledged() is None
 
 
 def test_an_epoch_without_pairs_is_not_pushed() -> None:
@@ -576,25 +576,25 @@ def test_an_epoch_without_pairs_is_not_pushed() -> None:
     for tick in range(12):
         machine.begin(copy, tick)
         copy.close_epoch(tick)
-        assert copy.push_due() is None
+        assert copy.oldest_unacknowledged() is None
 
 
 def test_what_the_table_dropped_is_gone_from_the_copy() -> None:
     """With learning off at the table, a leg's copy returns to it with the next pull."""
     machine = Machine(1, 2)
-    machine.shared.learning = False
+    machine.shared.merges_pushes = False
     (copy,) = machine.copies
     for tick in range(2):
         machine.begin(copy, tick)
         copy.learn(TDUpdate(tick, 1, 5.0))
         machine.end(copy, tick)
-    assert copy.table.cell(1) == (5.0, 2)
+    assert copy.table.read(1) == (5.0, 2)
     machine.begin(copy, 2)
     assert content(copy.table) == content(Table(STATES, ACTIONS))
 
 
 def test_an_epoch_whose_last_tick_was_missed_is_not_lost() -> None:
-    """A leg that is away when its epoch ends keeps the pairs, over a pull, for its next push."""
+    """A leg that is away when its epoch ends keeps the updates, over a pull, for its next push."""
     machine, plain = Machine(1, 4), Table(STATES, ACTIONS)
     (copy,) = machine.copies
     for tick in (0, 1, 2, 4, 5, 6, 7, 8, 13):
@@ -615,14 +615,14 @@ def test_an_epoch_without_an_answer_is_made_up_for() -> None:
     for tick in range(8):
         if tick == 4:
             other.skip_sync(1)
-            assert other.pull_due(5) is None
+            assert other.epoch_to_pull(5) is None
         for copy in machine.copies:
             machine.begin(copy, tick)
         for copy in machine.copies:
             copy.learn(TDUpdate(tick, 1, float(tick)))
             plain.update(1, float(tick), RATE)
-        assert one.table.cell(1)[1] == 2 * (tick // 2 * 2) + tick % 2 + 1
-        assert other.table.cell(1)[1] == one.table.cell(1)[1] - (2 if tick in (4, 5) else 0)
+        assert one.table.read(1)[1] == 2 * (tick // 2 * 2) + tick % 2 + 1
+        assert other.table.read(1)[1] == one.table.read(1)[1] - (2 if tick in (4, 5) else 0)
         for copy in machine.copies:
             machine.end(copy, tick)
     machine.shared.merge()
@@ -640,7 +640,7 @@ def test_nothing_is_lost_or_doubled_when_time_begins_anew(first_life: int) -> No
             machine.begin(copy, tick)
             copy.learn(TDUpdate(tick, 1, float(tick)))
             plain.update(1, float(tick), RATE)
-            assert copy.table.cell(1)[1] == plain.cell(1)[1]
+            assert copy.table.read(1)[1] == plain.read(1)[1]
             machine.end(copy, tick)
 
     live(first_life)
@@ -648,7 +648,7 @@ def test_nothing_is_lost_or_doubled_when_time_begins_anew(first_life: int) -> No
     live(14)
     machine.end(copy, 14, early=True)
     machine.shared.merge()
-    assert machine.shared.table.cell(1)[1] == plain.cell(1)[1]
+    assert machine.shared.table.read(1)[1] == plain.read(1)[1]
 
 
 def test_memory_of_a_copy_is_bounded() -> None:

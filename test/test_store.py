@@ -79,7 +79,7 @@ def test_a_store_keeps_every_bit(
     folder = tmp_path_factory.mktemp("store")
     written = push(2, 5, *updates, run='a run, "quoted"')
     table = Table(STATES, ACTIONS)
-    table.put(3, -0.0, 2)
+    table.write(3, -0.0, 2)
     with closing(store_at(folder, durability)) as store:
         assert store.load(STATES, ACTIONS) is None
         store.checkpoint(table, [])
@@ -100,12 +100,12 @@ def test_a_checkpoint_replaces_pushes_and_keeps_what_waits(store: TableStore) ->
     for each in pushes:
         store.add(each)
     table = Table(STATES, ACTIONS)
-    table.put(2, 0.5, 2)
+    table.write(2, 0.5, 2)
     store.checkpoint(table, pushes[2:])
     assert store.pushes == 0
     stored = store.load(STATES, ACTIONS)
     assert stored is not None
-    assert (stored.pushes, stored.table.cell(2)) == (pushes[2:], (0.5, 2))
+    assert (stored.pushes, stored.table.read(2)) == (pushes[2:], (0.5, 2))
     assert stored.runs == {(0, "run"): 1, (1, "run"): 1}
 
 

@@ -151,7 +151,7 @@ def test_a_reward_of_ones_own_is_what_is_recorded() -> None:
     recorder.finish(loop.world.observe(), loop.world.body())
     loop.close()
     assert set(recorder.summary()["last"]["reward_by_term"]) == {"stands", "quiet"}
-    assert loop.legs[0].transition.reward > 0.0
+    assert loop.legs[0].last_transition.reward > 0.0
 
 
 def test_a_varying_period_is_counted_by_the_phase() -> None:

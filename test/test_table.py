@@ -84,9 +84,9 @@ def test_update_is_a_mean_until_the_floor() -> None:
     table = Table(1, 1)
     for n, target in enumerate((4.0, 2.0, 6.0, 8.0), start=1):
         table.update(0, target, Rate(0.0, 1.0))
-        assert table.cell(0) == ([4.0, 3.0, 4.0, 5.0][n - 1], n)
+        assert table.read(0) == ([4.0, 3.0, 4.0, 5.0][n - 1], n)
     table.update(0, 9.0, Rate(0.5, 1.0))
-    assert table.cell(0) == (7.0, 5)
+    assert table.read(0) == (7.0, 5)
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
@@ -103,7 +103,7 @@ def test_update_rule_is_exact(targets: list[float], bounds: list[float]) -> None
     for n, target in enumerate(targets, start=1):
         assert table.update(3, target, rate) == target - value
         value += min(rate.ceiling, max(rate.floor, 1.0 / n)) * (target - value)
-        assert table.cell(3) == (value, n)
+        assert table.read(3) == (value, n)
     assert min(0.0, *targets) - 1e-9 <= value <= max(0.0, *targets) + 1e-9
     others = [0, 1, 2, 4, 5]
     assert not table.values[others].any()
@@ -115,21 +115,21 @@ def test_equal_bounds_are_a_constant_rate() -> None:
     table = Table(1, 1)
     for value in (0.25, 0.4375, 0.578125):
         table.update(0, 1.0, Rate(0.25, 0.25))
-        assert table.cell(0)[0] == value
+        assert table.read(0)[0] == value
 
 
 def test_the_first_target_is_taken_whole() -> None:
     """What stood in a cell that nobody visited does not count: 1 / N is 1."""
     table = Table(1, 1)
-    table.put(0, 123.0, 0)
+    table.write(0, 123.0, 0)
     table.update(0, 0.5, RATE)
-    assert table.cell(0) == (0.5, 1)
+    assert table.read(0) == (0.5, 1)
 
 
 def test_rows_cells_and_arrays_are_one_memory() -> None:
     """A row is a copy of plain floats; cells and arrays show the same content."""
     table = Table(2, 3)
-    table.put(4, 0.25, 7)
+    table.write(4, 0.25, 7)
     row = table.row(1)
     assert row == [0.0, 0.25, 0.0]
     assert {type(x) for x in row} == {float}
@@ -138,7 +138,7 @@ def test_rows_cells_and_arrays_are_one_memory() -> None:
     row[0] = 9.0
     assert table.row(1) == [0.0, 0.25, 0.0]
     table.values[3] = 0.5
-    assert table.cell(3) == (0.5, 0)
+    assert table.read(3) == (0.5, 0)
 
 
 def test_a_copy_is_a_copy() -> None:
@@ -179,7 +179,7 @@ def test_round_trip_is_exact(saved: Path) -> None:
     assert table.visits.tobytes() == learnt().visits.tobytes()
     assert table.sha256() == learnt().sha256()
     table.update(0, 1.0, RATE)
-    assert table.cell(0) == (1.0, 1)
+    assert table.read(0) == (1.0, 1)
 
 
 @settings(max_examples=20, deadline=None, derandomize=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from ember_ros.params import Learning, Rate
+from ember_ros.params import LearningParams, Rate
 from ember_ros.signals import LegSense
 from leg_node.table import Floats, Table
 from leg_node.value import SmoothedValues, TableValues, paper_or_smoothed
@@ -40,7 +40,7 @@ def some_table(seed: int = 0) -> Table:
     return table
 
 
-def by_definition(table: Table, numbers: Learning, axes: Axes = AXES) -> Floats:
+def by_definition(table: Table, learning_params: LearningParams, axes: Axes = AXES) -> Floats:
     """Return the smoothed values, cell by cell, as the class's docstring defines them."""
     cells = list(itertools.product(*map(range, (*SHAPE, ACTIONS))))
     total, weight = np.zeros(len(cells)), np.zeros(len(cells))
@@ -50,23 +50,23 @@ def by_definition(table: Table, numbers: Learning, axes: Axes = AXES) -> Floats:
             if any(x != y for x, y, near in zip(a, b, like, strict=True) if not near):
                 continue  # such as stance and swing, which have nothing to say to each other
             bins = sum(abs(x - y) for x, y in zip(a, b, strict=True))
-            kernel = numbers.smooth**bins
-            most = numbers.visits_own if i == j else numbers.visits_near
+            kernel = learning_params.smooth**bins
+            most = learning_params.visits_own if i == j else learning_params.visits_near
             visits = kernel * min(int(table.visits[j]), most)
             weight[i] += visits
             total[i] += visits * table.values[j]
     totals, weights = total.reshape(STATES, ACTIONS), weight.reshape(STATES, ACTIONS)
     known = weights.sum(axis=1, keepdims=True)
     state = totals.sum(axis=1, keepdims=True) / np.where(known > 0, known, 1.0)
-    prior = numbers.prior * (state - numbers.pessimism)
-    believed: Floats = (totals + prior) / (weights + numbers.prior)
+    prior = learning_params.prior * (state - learning_params.pessimism)
+    believed: Floats = (totals + prior) / (weights + learning_params.prior)
     return believed
 
 
 def test_plain_values_are_the_table() -> None:
     """No more and no less, also after it was learnt from."""
     table = some_table()
-    values = TableValues(table, AXES, Learning(), TICKS)
+    values = TableValues(table, AXES, LearningParams(), TICKS)
     assert values.q_values(0, 7) == table.row(7)
     table.update(7 * ACTIONS, 5.0, Rate(0.1, 1.0))
     assert values.q_values(1, 7) == table.row(7)
@@ -75,10 +75,13 @@ def test_plain_values_are_the_table() -> None:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_smoothed_values_are_what_they_say(seed: int) -> None:
     """The separable sums equal the definition, cell by cell, to rounding."""
-    numbers, table = Learning(smooth=0.3, visits_own=9, visits_near=4), some_table(seed)
-    values = SmoothedValues(table, AXES, numbers, TICKS)
+    learning_params, table = (
+        LearningParams(smooth=0.3, visits_own=9, visits_near=4),
+        some_table(seed),
+    )
+    values = SmoothedValues(table, AXES, learning_params, TICKS)
     got = np.array([values.q_values(0, state) for state in range(STATES)])
-    assert np.abs(got - by_definition(table, numbers)).max() < 1e-12
+    assert np.abs(got - by_definition(table, learning_params)).max() < 1e-12
 
 
 def test_untried_actions_are_no_better_than_their_state() -> None:
@@ -87,14 +90,14 @@ def test_untried_actions_are_no_better_than_their_state() -> None:
     for _ in range(50):
         table.update(0, -2.0, Rate(0.01, 1.0))
         table.update(1, -3.0, Rate(0.01, 1.0))
-    row = SmoothedValues(table, AXES, Learning(smooth=1e-9), TICKS).q_values(0, 0)
+    row = SmoothedValues(table, AXES, LearningParams(smooth=1e-9), TICKS).q_values(0, 0)
     assert row[2] < min(row[:2])
 
 
 def test_smoothed_values_hold_for_their_cycles() -> None:
     """They are made anew every ``smooth_every`` cycles, at ticks that all ways of running share."""
     table = some_table()
-    values = SmoothedValues(table, AXES, Learning(smooth=0.3, smooth_every=2), TICKS)
+    values = SmoothedValues(table, AXES, LearningParams(smooth=0.3, smooth_every=2), TICKS)
     first = values.q_values(0, 3)
     table.update(3 * ACTIONS, 100.0, Rate(0.5, 1.0))
     assert values.q_values(2 * TICKS - 1, 3) == first
@@ -104,25 +107,25 @@ def test_smoothed_values_hold_for_their_cycles() -> None:
 def test_the_discretizer_says_which_axes_are_smoothed() -> None:
     """Where another axis than that of swing has no neighbours, nothing passes along that one."""
     axes = Axes(neighbours=(False, True, False, True, True))
-    numbers, table = Learning(smooth=0.3), some_table(2)
-    values = SmoothedValues(table, axes, numbers, TICKS)
+    learning_params, table = LearningParams(smooth=0.3), some_table(2)
+    values = SmoothedValues(table, axes, learning_params, TICKS)
     got = np.array([values.q_values(0, state) for state in range(STATES)])
-    assert np.abs(got - by_definition(table, numbers, axes)).max() < 1e-12
-    assert np.abs(got - by_definition(table, numbers)).max() > 1e-3
+    assert np.abs(got - by_definition(table, learning_params, axes)).max() < 1e-12
+    assert np.abs(got - by_definition(table, learning_params)).max() > 1e-3
 
 
 def test_a_discretizer_of_two_axes_can_be_smoothed() -> None:
     """Any number of axes, each with its own number of bins."""
-    axes, numbers, table = (
+    axes, learning_params, table = (
         Axes((12, 8), (True, True)),
-        Learning(smooth=0.5, prior=0.0),
+        LearningParams(smooth=0.5, prior=0.0),
         some_table(3),
     )
-    values = SmoothedValues(table, axes, numbers, TICKS)
+    values = SmoothedValues(table, axes, learning_params, TICKS)
     cells = list(itertools.product(range(12), range(8), range(ACTIONS)))
     here, at = (5, 3, 1), cells.index((5, 3, 1))
-    near = np.minimum(table.visits, numbers.visits_near)
-    own = min(int(table.visits[at]), numbers.visits_own) - int(near[at])
+    near = np.minimum(table.visits, learning_params.visits_near)
+    own = min(int(table.visits[at]), learning_params.visits_own) - int(near[at])
     bins = [sum(abs(x - y) for x, y in zip(cell, here, strict=True)) for cell in cells]
     weights = near * 0.5 ** np.array(bins)
     weights[at] += own
@@ -131,13 +134,15 @@ def test_a_discretizer_of_two_axes_can_be_smoothed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("numbers", "kind"),
+    ("learning_params", "kind"),
     [
-        (Learning(smooth=0.0, prior=0.0), TableValues),
-        (Learning(smooth=0.3, prior=0.0), SmoothedValues),
-        (Learning(smooth=0.0, prior=5.0), SmoothedValues),
+        (LearningParams(smooth=0.0, prior=0.0), TableValues),
+        (LearningParams(smooth=0.3, prior=0.0), SmoothedValues),
+        (LearningParams(smooth=0.0, prior=5.0), SmoothedValues),
     ],
 )
-def test_the_numbers_decide_which_of_the_two(numbers: Learning, kind: type) -> None:
+def test_the_parameters_decide_which_of_the_two(
+    learning_params: LearningParams, kind: type
+) -> None:
     """Without a neighbour's say and without a prior it is the paper's table, and costs nothing."""
-    assert type(paper_or_smoothed(some_table(), AXES, numbers, TICKS)) is kind
+    assert type(paper_or_smoothed(some_table(), AXES, learning_params, TICKS)) is kind

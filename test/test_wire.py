@@ -650,8 +650,8 @@ def test_a_pull_of_the_whole_table_is_the_table() -> None:
     """Pulled without bounds, every cell comes with its value and its visits."""
     table = Table(5, 3)
     for cell in range(15):
-        table.put(cell, -cell / 7, cell)
-    table.put(3, -0.0, 1)
+        table.write(cell, -cell / 7, cell)
+    table.write(3, -0.0, 1)
     shared = SharedTable(table, legs=4, cells="", rate=Params().walk.rate)
     request = GetParameters.Request(names=["about", "visits", "values", "cells", "version"])
     since, upto, wanted = calls.read_pull(request)

@@ -18,7 +18,7 @@ from ember_ros.bag.writer_process import WriterProcess
 from ember_ros.errors import SignalError
 from ember_ros.params import Params
 from ember_ros.worlds import WORLDS, legs_of, stage_of
-from leg_node.assembly import numbers_of
+from leg_node.assembly import learning_params_of
 
 LOG_S = 5.0
 """Wall time between two lines of progress, and between two warnings of one kind."""
@@ -150,8 +150,8 @@ class RobotRecorder:
         before = [tick for tick in ticks[: self._before_table or 0] if tick is not None]
         table_tick = max(before, default=-1)  # the newest tick when the table arrived
         run_metadata, table, problems = client.run_metadata(world, first)
-        numbers = numbers_of(run_metadata.params, stage_of(world))
-        if table is not None and table_tick + 1 >= numbers.sync_every:
+        learning_params = learning_params_of(run_metadata.params, stage_of(world))
+        if table is not None and table_tick + 1 >= learning_params.sync_every:
             problems.append("the table was requested after legs had pushed updates to it")
             run_metadata, table = run_metadata.without_table(), None
         for problem in problems:

@@ -118,8 +118,8 @@ class RunMetadata:
         (leg,) = kinds
         if leg.stage != stage_of(self.world):
             raise BagError(
-                f"{prefix}its legs had the learning numbers of stage {leg.stage!r}, which is not "
-                f"that of the {self.world}; `ember relearn` works with it"
+                f"{prefix}its legs had the learning parameters of stage {leg.stage!r}, which is "
+                f"not that of the {self.world}; `ember relearn` works with it"
             )
         return RunConfig(
             self.world,

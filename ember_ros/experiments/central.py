@@ -17,7 +17,7 @@ from ember_ros.params import Params
 from ember_ros.randomness import WORLD, generator
 from ember_ros.run_config import RunConfig
 from ember_ros.signals import LegSense
-from leg_node.assembly import make_leg, numbers_of
+from leg_node.assembly import learning_params_of, make_leg
 from leg_node.gait import GaitStep
 from leg_node.policy import epsilon_at
 from leg_node.table import Table
@@ -43,8 +43,8 @@ class CentralLoop(Loop):
         """Build the configured robot; the table of the configuration is not used."""
         super().__init__(config)
         params: Params = config.params
-        numbers = numbers_of(params, config.stage)
-        self._numbers, self._ticks = numbers, params.gait.ticks
+        learning_params = learning_params_of(params, config.stage)
+        self._learning_params, self._ticks = learning_params, params.gait.ticks
         self._speeds = len(params.leg.knee_speeds)
         self._rng = generator(config.seed, CENTRAL_LEARNER)
         count = len(config.legs)
@@ -75,13 +75,13 @@ class CentralLoop(Loop):
         reward /= len(rewards)
         actions = self.joint.actions
         best = float(self.joint.values[state * actions : (state + 1) * actions].max())
-        target = reward + self._numbers.gamma * best
-        self.joint.update(was * actions + did, target, self._numbers.rate)
+        target = reward + self._learning_params.gamma * best
+        self.joint.update(was * actions + did, target, self._learning_params.rate)
 
     def _choose(self, state: int) -> int:
         """Return a joint action, epsilon-greedy; ties between best actions are broken at random."""
         actions = self.joint.actions
-        if self._rng.random() < epsilon_at(self._numbers, self.now // self._ticks):
+        if self._rng.random() < epsilon_at(self._learning_params, self.now // self._ticks):
             return int(self._rng.integers(actions))
         row = self.joint.values[state * actions : (state + 1) * actions]
         ties = np.flatnonzero(row == row.max())

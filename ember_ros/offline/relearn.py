@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 from ember_ros.bag.reader import Bag
 from ember_ros.errors import BagError, ParameterError
-from ember_ros.loop import act, flush
+from ember_ros.loop import flush, tick_leg
 from ember_ros.params import Params, as_dict, cells_sha256, replace
 from ember_ros.params_file import dump_params
 from ember_ros.signals import LegCommand, LegSense
-from leg_node.assembly import empty_table, make_leg, numbers_of
+from leg_node.assembly import empty_table, learning_params_of, make_leg
 from leg_node.gait import GaitStep
 from leg_node.shared import SharedTable
 from leg_node.table import Table
@@ -94,7 +94,7 @@ def relearn(
         bags: folders of the bags.
         changes: full names of parameters (``reward.slip``) and their values, on top of ``params``.
         params: parameters to learn with; None for those of the first bag.
-        stage: the hyperparameters to use, ``train`` or ``walk``; None for those of the bag.
+        stage: the learning_params to use, ``train`` or ``walk``; None for those of the bag.
         table: table to start from, changed in place; None for an empty one.
         passes: number of times that all bags are read.
         namespace: namespace of the robot in each bag.
@@ -111,12 +111,12 @@ def relearn(
         stage = stage or bag.stage
     if table is None:
         table = empty_table(new_params)
-    hyperparameters = numbers_of(new_params, stage)
+    learning_params = learning_params_of(new_params, stage)
     shared = SharedTable(
         table,
         legs=len(new_params.robot.legs),
         cells=cells_sha256(new_params),
-        rate=hyperparameters.rate,
+        rate=learning_params.rate,
     )
     before = int(table.visits.sum())
     ticks = skipped = falls = 0
@@ -137,7 +137,7 @@ def relearn(
                             incomplete.add((tick.tick, leg.leg))
                             continue
                         policy.action = actions.of(leg.leg, command)
-                        act(shared, leg, sense, tick.beat)
+                        tick_leg(shared, leg, sense, tick.beat)
                     ticks += 1
                     fall_count, last = tick.body.falls, tick.tick
                     if not go_on(ticks, falls + fall_count):
@@ -175,7 +175,7 @@ def short_forms(
 
     Args:
         params: parameters before the changes.
-        stage: the hyperparameters to change, ``train`` or ``walk``.
+        stage: the learning_params to change, ``train`` or ``walk``.
         alpha: minimum learning rate; a constant rate stays constant. None: unchanged.
         gamma: discount factor per tick. None: unchanged.
         bins: number of bins of the hip angle. None: unchanged.

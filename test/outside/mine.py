@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ember_ros.params import Learning, Params
+from ember_ros.params import LearningParams, Params
 from ember_ros.signals import LegSense, TDUpdate, Transition
 from leg_node.gait import GaitStep
 from leg_node.policy import QValues
@@ -24,9 +24,9 @@ class Reward:
     def __init__(self, params: Params) -> None:
         self._most = params.leg.knee_speeds[-1]
 
-    def terms(self, sense: LegSense, stance: bool) -> dict[str, float]:
+    def terms(self, sense: LegSense, as_stance: bool) -> dict[str, float]:
         terms = {"quiet": 1.0 - abs(sense.knee_speed) / self._most}
-        if stance and sense.contact:
+        if as_stance and sense.contact:
             terms["stands"] = 1.0
         return terms
 
@@ -54,11 +54,12 @@ class DoubleQ:
     def __init__(
         self,
         estimates: Sequence[ValueEstimate],
-        numbers: Learning,
+        learning_params: LearningParams,
         shape: tuple[int, int],
         rng: np.random.Generator,
     ) -> None:
-        self._estimates, self._gamma, self._shape, self._rng = estimates, numbers.gamma, shape, rng
+        self._estimates, self._shape, self._rng = estimates, shape, rng
+        self._gamma = learning_params.gamma
 
     def q_values(self, tick: int, state: int) -> list[float]:
         one, other = (each.q_values(tick, state) for each in self._estimates)
@@ -73,14 +74,16 @@ class DoubleQ:
         cell = (which * states + transition.state) * actions + transition.action
         return (TDUpdate(tick, cell, transition.reward + self._gamma * worth),)
 
-    def reset(self) -> Iterable[TDUpdate]:
+    def flush(self) -> Iterable[TDUpdate]:
         return ()
 
 
 class Value:
     """Half of what the table says."""
 
-    def __init__(self, table: Table, discretizer: Any, numbers: Learning, ticks: int) -> None:
+    def __init__(
+        self, table: Table, discretizer: Any, learning_params: LearningParams, ticks: int
+    ) -> None:
         self._table = table
 
     def q_values(self, tick: int, state: int) -> list[float]:
@@ -105,7 +108,7 @@ class Policy:
     def __init__(
         self,
         params: Params,
-        numbers: Learning,
+        learning_params: LearningParams,
         q_values: QValues,
         rng: np.random.Generator,
         start_cycle: int = 0,
