@@ -201,7 +201,7 @@ def test_a_part_comes_from_a_folder_in_the_path(
 
 
 def test_a_policy_may_be_named_by_its_path() -> None:
-    """Made with the numbers of the stage, the learner's values and the cycles before."""
+    """Made with the parameters of the stage, the learner's values and the cycles before."""
     leg = make_leg(PARAMS, TRAINER_LEG, stage="train", policy=f"{__name__}.Fifth", start_cycle=7)
     (sense,) = FakeWorld((TRAINER_LEG,)).observe()
     assert leg.tick(sense, Beat(0, 0.0)).knee_speed == PARAMS.leg.knee_speeds[4]

@@ -541,11 +541,11 @@ def test_relearning_with_other_numbers_is_what_would_have_been_learnt(runs: list
 
 def test_many_bags_are_learnt_from_one_after_the_other(runs: list[Made]) -> None:
     """All in one go is the first, then the second with its table, and so on; sums add up."""
-    numbers = runs[0].config.params
+    params = runs[0].config.params
     together = relearn([made.bag for made in runs])
     table, alone = None, []
     for made in runs:
-        alone.append(relearn([made.bag], params=numbers, table=table))
+        alone.append(relearn([made.bag], params=params, table=table))
         table = alone[-1].table
     assert table is not None
     assert together.table.sha256() == table.sha256()
@@ -557,9 +557,9 @@ def test_many_bags_are_learnt_from_one_after_the_other(runs: list[Made]) -> None
 def test_the_order_of_bags_is_kept_and_matters(runs: list[Made]) -> None:
     """Another order is another table with as many updates; the same order gives the same bits."""
     one, other = (made.bag for made in runs[:2])
-    numbers = runs[0].config.params
+    params = runs[0].config.params
     orders = ([one, other], [other, one], [other, one])
-    first, second, third = (relearn(bags, params=numbers) for bags in orders)
+    first, second, third = (relearn(bags, params=params) for bags in orders)
     assert first.updates == second.updates
     assert first.table.sha256() != second.table.sha256()
     assert second.table.sha256() == third.table.sha256()
@@ -569,10 +569,10 @@ def test_the_order_of_bags_is_kept_and_matters(runs: list[Made]) -> None:
 def test_a_pass_is_all_bags_once(runs: list[Made]) -> None:
     """Two passes are the bags named twice, in their order; sums are twice as much."""
     one, other = (made.bag for made in runs[:2])
-    numbers = runs[0].config.params
+    params = runs[0].config.params
     twice = relearn([one, other], passes=2)
     assert twice.table.sha256() == relearn([one, other, one, other]).table.sha256()
-    once = relearn([one, other], params=numbers)
+    once = relearn([one, other], params=params)
     assert (twice.ticks, twice.updates, twice.falls) == (
         2 * once.ticks,
         2 * once.updates,
