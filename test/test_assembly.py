@@ -25,7 +25,7 @@ from leg_node.table import Table
 from leg_node.value import TableValues, ValueEstimate
 from sim_node.fake import FakeWorld
 from support.legs import LEGS
-from support.runs import Heard
+from support.runs import SignalLog
 
 PARAMS = Params()
 NOT_A_CLASS = 3
@@ -145,7 +145,7 @@ def test_a_part_is_made_with_what_it_needs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "says"),
+    ("path", "reason"),
     [
         (
             "no_such_package.rewards.Mine",
@@ -168,13 +168,13 @@ def test_a_part_is_made_with_what_it_needs() -> None:
         ),
     ],
 )
-def test_a_part_that_cannot_be_is_refused(path: str, says: str) -> None:
+def test_a_part_that_cannot_be_is_refused(path: str, reason: str) -> None:
     """No such module, no such name, nothing that can be called, or made in another way.
 
     The error says by which parameter, and the robot is not built.
     """
     params = replace(PARAMS, {"parts.reward": path})
-    with pytest.raises(ParameterError, match=says):
+    with pytest.raises(ParameterError, match=reason):
         make_leg(params, TRAINER_LEG)
 
 
@@ -285,12 +285,15 @@ def test_a_partition_of_numbers_alone_may_be_too_large() -> None:
 def test_a_discretizer_of_one_s_own_is_learnt_in() -> None:
     """States of transitions and cells of the table are its own, and there are no others."""
     params = named(discretizer="Shaped")
-    loop, heard = Loop(RunConfig("walker", 2, params=params, policy="random"), FakeWorld()), Heard()
+    loop, received = (
+        Loop(RunConfig("walker", 2, params=params, policy="random"), FakeWorld()),
+        SignalLog(),
+    )
     for _ in range(64):
-        loop.tick(heard)
+        loop.tick(received)
     table, mine = loop.finish(), Shaped(params)
     assert len(table) == 54
-    for senses, told in zip(heard.senses, heard.transitions, strict=True):
+    for senses, told in zip(received.senses, received.transitions, strict=True):
         for sense, did in zip(senses, told, strict=True):
             assert did.next_state == mine.index(sense, did.next_stance)
     assert table.visits.sum() == 4 * 63
@@ -298,16 +301,16 @@ def test_a_discretizer_of_one_s_own_is_learnt_in() -> None:
 
 def test_a_gait_of_one_s_own_decides_stance_and_hip() -> None:
     """The leg says so, is rewarded so, and drives its hip there."""
-    loop, heard = (
+    loop, received = (
         Loop(RunConfig("walker", 2, params=named(gait="AlwaysStance")), FakeWorld()),
-        Heard(),
+        SignalLog(),
     )
     for _ in range(64):
-        loop.tick(heard)
-    told = [did for each in heard.transitions for did in each]
+        loop.tick(received)
+    told = [did for each in received.transitions for did in each]
     assert all(did.next_stance for did in told)
     assert {dict(did.terms)["swing_free"] for did in told} == {0.0}
-    assert {command.hip_speed for each in heard.commands for command in each} == {0.0}
+    assert {command.hip_speed for each in received.commands for command in each} == {0.0}
 
 
 def test_a_learner_of_two_tables_learns_in_both() -> None:

@@ -55,15 +55,15 @@ from ember_ros.signals import Beat, BodyState
 from leg_node.assembly import empty_table
 from leg_node.table import Table
 from sim_node.fake import FakeWorld
-from support.bags import KEPT
+from support.bags import SHIPPED_BAG
 from support.legs import LEGS
-from support.runs import Heard
+from support.runs import SignalLog
 from support.waiting import DEADLINE_S
 
 PARAMS = Params()
 TICK_NS = PARAMS.gait.tick_ns
 FLUSH = recording_module.FLUSH_TICKS
-PLAN = RunConfig("walker", 1, seed=3)
+CONFIG = RunConfig("walker", 1, seed=3)
 FALLS_AT = (5, 6, 40)
 VERSIONS = {"ember_ros": "of this test"}
 STRING = "std_msgs/msg/String"
@@ -166,7 +166,7 @@ def start_table() -> Table:
     return table
 
 
-def run_loop(ticks: int, *observers: Observer, config: RunConfig = PLAN) -> None:
+def run_loop(ticks: int, *observers: Observer, config: RunConfig = CONFIG) -> None:
     """Run the loop in the fake world, which falls now and then."""
     loop = Loop(config, FakeWorld(config.legs, PARAMS, falls_at=FALLS_AT))
     for _ in range(ticks):
@@ -179,7 +179,7 @@ def record(
     *observers: Observer,
     split_mb: float = 0.0,
     split_s: float = 0.0,
-    config: RunConfig = PLAN,
+    config: RunConfig = CONFIG,
     finish: bool = True,
 ) -> Path:
     """Record a run of the loop into a bag, finished or abandoned; return its folder."""
@@ -391,11 +391,11 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
 
 def test_an_unknown_message_type_is_refused_and_costs_nothing_else(tmp_path: Path) -> None:
     """A BagError names it; what is written before and after is in a bag that closes well."""
-    folder, says = tmp_path / "bag", "type robot_msgs/msg/Leg is not part of Jazzy"
+    folder, reason = tmp_path / "bag", "type robot_msgs/msg/Leg is not part of Jazzy"
     with writing(folder) as writer:
         put(writer, text(0))
         for _ in range(2):
-            with pytest.raises(BagError, match=says):
+            with pytest.raises(BagError, match=reason):
                 put(writer, Written("/leg", "robot_msgs/msg/Leg", 5, b"\0\1\0\0"))
         put(writer, text(1))
         writer.close()
@@ -726,11 +726,11 @@ def test_a_disk_that_is_full_while_repairing_costs_nothing(share: float, tmp_pat
 # -- recordings ----------------------------------------------------------------------------------
 
 
-def expected_order(heard: Heard, legs: Sequence[str] = LEGS) -> list[tuple[str, int]]:
+def expected_order(received: SignalLog, legs: Sequence[str] = LEGS) -> list[tuple[str, int]]:
     """Return the topics and ticks that a recording of a run must have, in their order."""
     found = [("/run/card", 0), ("/run/values", 0), ("/run/visits", 0)]
     falls = None
-    for tick, body in enumerate(heard.bodies):
+    for tick, body in enumerate(received.bodies):
         found.append(("/clock", tick))
         if body.falls != falls:
             falls = body.falls
@@ -739,11 +739,11 @@ def expected_order(heard: Heard, legs: Sequence[str] = LEGS) -> list[tuple[str, 
         for leg in legs:
             found += [(f"/{leg}/joint_states", tick), (f"/{leg}/contact", tick)]
         found.append(("/cpg/phase", tick))
-        for leg, command in zip(legs, heard.commands[tick], strict=True):
+        for leg, command in zip(legs, received.commands[tick], strict=True):
             if command is not None:
                 found.append((f"/{leg}/command", tick))
         found += [(f"/{leg}/transition", tick) for leg in legs]
-        if (tick + 1) % FLUSH == 0 or tick + 1 == len(heard.bodies):
+        if (tick + 1) % FLUSH == 0 or tick + 1 == len(received.bodies):
             found.append(("/run/crc", tick))
     return found
 
@@ -755,12 +755,12 @@ def test_a_recording_is_every_tick_in_one_order(world: str, tmp_path: Path) -> N
     In the order of a tick; falls only when there are more; a CRC message after each flush of ticks
     and at the end.
     """
-    heard, config = Heard(), RunConfig(world, 1, seed=3)
+    received, config = SignalLog(), RunConfig(world, 1, seed=3)
     ticks = 3 * FLUSH + 5
-    folder = record(tmp_path / "bag", ticks, heard, config=config)
+    folder = record(tmp_path / "bag", ticks, received, config=config)
     found = written(folder)
     assert [(message.topic, message.ns) for message in found] == [
-        (topic, tick * TICK_NS) for topic, tick in expected_order(heard, config.legs)
+        (topic, tick * TICK_NS) for topic, tick in expected_order(received, config.legs)
     ]
     kinds = {message.topic: message.kind for message in found}
     assert {kinds[f"/{leg}/{what}"] for leg in config.legs for what in ("contact", "command")} == {
@@ -772,15 +772,15 @@ def test_a_recording_is_every_tick_in_one_order(world: str, tmp_path: Path) -> N
 
 
 @pytest.fixture(scope="module")
-def run_of_64(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Heard]:
+def run_of_64(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SignalLog]:
     """A recording of 64 ticks, and what happened in it; nobody may change it."""
-    heard = Heard()
-    return record(tmp_path_factory.mktemp("run") / "bag", 64, heard), heard
+    received = SignalLog()
+    return record(tmp_path_factory.mktemp("run") / "bag", 64, received), received
 
 
-def test_a_recording_says_what_happened(run_of_64: tuple[Path, Heard]) -> None:
+def test_a_recording_says_what_happened(run_of_64: tuple[Path, SignalLog]) -> None:
     """Read by rosbags, each message carries its tick's numbers, and its stamp is its log time."""
-    folder, heard = run_of_64
+    folder, received = run_of_64
     by_topic: dict[str, list[Any]] = {}
     for message in written(folder):
         content = decoded(message)
@@ -788,15 +788,15 @@ def test_a_recording_says_what_happened(run_of_64: tuple[Path, Heard]) -> None:
         if stamp is not None:
             assert stamp.sec * 10**9 + stamp.nanosec == message.ns
         by_topic.setdefault(message.topic, []).append(content)
-    for beat, said in zip(heard.phases, by_topic["/cpg/phase"], strict=True):
+    for beat, said in zip(received.phases, by_topic["/cpg/phase"], strict=True):
         assert said.header.stamp.sec * 10**9 + said.header.stamp.nanosec == beat.tick * TICK_NS
         assert (said.name, said.position.tolist()) == (["cpg"], [beat.phase])
     assert [each.data for each in by_topic["/falls"]] == [0, 1, 2, 3]
     positions = [each.pose.pose.position for each in by_topic["/odometry"]]
-    assert [(at.x, at.y, at.z) for at in positions] == [body[:3] for body in heard.bodies]
+    assert [(at.x, at.y, at.z) for at in positions] == [body[:3] for body in received.bodies]
     for n, leg in enumerate(LEGS):
         for sense, joints, contact in zip(
-            [senses[n] for senses in heard.senses],
+            [senses[n] for senses in received.senses],
             by_topic[f"/{leg}/joint_states"],
             by_topic[f"/{leg}/contact"],
             strict=True,
@@ -808,25 +808,25 @@ def test_a_recording_says_what_happened(run_of_64: tuple[Path, Heard]) -> None:
             assert (said["slip"], said["inclination"]) == (sense.slip, sense.inclination)
             assert [said[bit] for bit in ("hair", "touch", "restart")] == list(sense[9:])
             assert contact.effort.tolist()[-2:] == [sense.force_mean, sense.force_peak]
-        for commands, said in zip(heard.commands, by_topic[f"/{leg}/command"], strict=True):
+        for commands, said in zip(received.commands, by_topic[f"/{leg}/command"], strict=True):
             command = commands[n]
             assert command is not None
             assert said.velocity.tolist() == list(command[1:3])
             assert said.effort.tolist() == list(command[3:])
 
 
-def test_a_recording_is_read_as_the_run(run_of_64: tuple[Path, Heard]) -> None:
+def test_a_recording_is_read_as_the_run(run_of_64: tuple[Path, SignalLog]) -> None:
     """What comes out of the bag, tick by tick, is what happened, with every bit."""
-    folder, heard = run_of_64
+    folder, received = run_of_64
     with Bag(folder) as bag:
         ticks = list(bag.ticks())
         assert (bag.damages, bag.stale) == ([], 0)
     assert [tick.tick for tick in ticks] == list(range(64))
-    assert [tick.beat for tick in ticks] == heard.phases
-    assert [tick.senses for tick in ticks] == heard.senses
-    assert [tick.commands for tick in ticks] == heard.commands
-    assert [tick.body for tick in ticks] == heard.bodies
-    assert [tick.transitions for tick in ticks] == heard.transitions
+    assert [tick.beat for tick in ticks] == received.phases
+    assert [tick.senses for tick in ticks] == received.senses
+    assert [tick.commands for tick in ticks] == received.commands
+    assert [tick.body for tick in ticks] == received.bodies
+    assert [tick.transitions for tick in ticks] == received.transitions
 
 
 def crcs(folder: Path) -> dict[int, tuple[int, ...]]:
@@ -850,7 +850,7 @@ def crcs(folder: Path) -> dict[int, tuple[int, ...]]:
     return found
 
 
-def test_the_crcs_are_of_the_senses_as_they_lie(run_of_64: tuple[Path, Heard]) -> None:
+def test_the_crcs_are_of_the_senses_as_they_lie(run_of_64: tuple[Path, SignalLog]) -> None:
     """Each tick and leg has one: CRC-32 of joint states and contact, byte for byte."""
     folder, _ = run_of_64
     data = {(message.topic, message.ns // TICK_NS): message.data for message in written(folder)}
@@ -863,12 +863,12 @@ def test_the_crcs_are_of_the_senses_as_they_lie(run_of_64: tuple[Path, Heard]) -
     }
 
 
-def test_card_and_table_come_back(run_of_64: tuple[Path, Heard]) -> None:
+def test_card_and_table_come_back(run_of_64: tuple[Path, SignalLog]) -> None:
     """What determined the run is in the bag: the card, and the table with every bit."""
     folder, _ = run_of_64
     table = start_table()
     with Bag(folder) as bag:
-        assert bag.run_metadata == RunMetadata.of_config(PLAN, table, VERSIONS)
+        assert bag.run_metadata == RunMetadata.of_config(CONFIG, table, VERSIONS)
         assert bag.table is not None
         assert bag.table.sha256() == table.sha256() == bag.run_metadata.start_table_sha256
         assert bag.params == PARAMS
@@ -886,7 +886,7 @@ def test_card_and_table_come_back(run_of_64: tuple[Path, Heard]) -> None:
 
 def test_a_table_that_nobody_knew_is_not_made_up(tmp_path: Path) -> None:
     """Without a table the bag has none, and neither topic has a message."""
-    run_metadata = RunMetadata.of_config(PLAN, start_table(), VERSIONS).without_table()
+    run_metadata = RunMetadata.of_config(CONFIG, start_table(), VERSIONS).without_table()
     with writing(tmp_path / "bag") as writer:
         taking = RunWriter(writer, run_metadata, None)
         run_loop(3, taking)
@@ -917,22 +917,22 @@ class Without:
 
 def test_an_absent_command_leaves_no_message(tmp_path: Path) -> None:
     """A leg that did not answer has no command in the bag, and all others are there."""
-    heard, table = Heard(), start_table()
+    received, table = SignalLog(), start_table()
 
     def missing(tick: int, n: int) -> bool:
         return tick in (0, 7, 31) and n != 2
 
     with writing(tmp_path / "bag") as writer:
-        taking = RunWriter(writer, RunMetadata.of_config(PLAN, table, VERSIONS), table)
-        run_loop(40, Without(taking, missing), Without(heard, missing))
+        taking = RunWriter(writer, RunMetadata.of_config(CONFIG, table, VERSIONS), table)
+        run_loop(40, Without(taking, missing), Without(received, missing))
         taking.finish()
         writer.close()
     found = [(message.topic, message.ns // TICK_NS) for message in written(tmp_path / "bag")]
-    assert found == expected_order(heard)
+    assert found == expected_order(received)
     assert len(found) == len(set(found))
     assert sum(topic.endswith("/command") for topic, _ in found) == 4 * 40 - 9
     with Bag(tmp_path / "bag") as bag:
-        assert [tick.commands for tick in bag.ticks()] == heard.commands
+        assert [tick.commands for tick in bag.ticks()] == received.commands
 
 
 @pytest.mark.parametrize("split_s", [0.0, 0.5])
@@ -961,7 +961,7 @@ def test_a_robot_in_a_namespace(tmp_path: Path) -> None:
     """All its topics are below it, and are otherwise the same."""
     table = start_table()
     for name, namespace in (("plain", ""), ("named", "/lab/robot_2/")):
-        run_metadata = RunMetadata.of_config(PLAN, table, VERSIONS)
+        run_metadata = RunMetadata.of_config(CONFIG, table, VERSIONS)
         with writing(tmp_path / name) as writer:
             taking = RunWriter(writer, run_metadata, table, namespace=namespace)
             run_loop(20, taking)
@@ -999,7 +999,7 @@ def test_bytes_that_were_heard_are_kept_as_they_are(tmp_path: Path) -> None:
     """
     table = start_table()
     run_metadata = dataclasses.replace(
-        RunMetadata.of_config(PLAN, table, VERSIONS), first_tick=2**33 + 20
+        RunMetadata.of_config(CONFIG, table, VERSIONS), first_tick=2**33 + 20
     )
     ticks = [*range(2**33 + 20, 2**33 + 45), *range(2**33 + 90, 2**33 + 93)]
     said = {tick: told(tick) for tick in ticks}
@@ -1013,13 +1013,13 @@ def test_bytes_that_were_heard_are_kept_as_they_are(tmp_path: Path) -> None:
         writer.close()
     found = written(tmp_path / "bag")
     assert found[0].ns == (2**33 + 20) * TICK_NS
-    heard = [message for message in found if not message.topic.startswith("/run/")]
+    received = [message for message in found if not message.topic.startswith("/run/")]
     expected = []
     for tick, one in said.items():
         senses = [each for update in zip(one.joints, one.contacts, strict=True) for each in update]
         parts = [one.clock, one.odometry, *senses, one.phase, *one.commands, *one.transitions]
         expected += [(tick * TICK_NS, data) for data in parts if data is not None]
-    assert [(message.ns, message.data) for message in heard] == expected
+    assert [(message.ns, message.data) for message in received] == expected
     assert crcs(tmp_path / "bag") == {
         tick: tuple(
             zlib.crc32((joints or b"") + (contact or b""))
@@ -1111,12 +1111,12 @@ def test_a_kill_costs_what_was_not_flushed(ticks: int, tmp_path: Path) -> None:
         assert bag.damages == []
     assert len(found) >= flushed
     assert [tick.tick for tick in found] == list(range(len(found)))
-    heard = Heard()
-    whole = record(tmp_path / "whole", len(found), heard)
+    received = SignalLog()
+    whole = record(tmp_path / "whole", len(found), received)
     assert written(folder) == written(whole)
-    assert [tick.senses for tick in found] == heard.senses
-    assert [tick.commands for tick in found] == heard.commands
-    assert [tick.body for tick in found] == heard.bodies
+    assert [tick.senses for tick in found] == received.senses
+    assert [tick.commands for tick in found] == received.commands
+    assert [tick.body for tick in found] == received.bodies
     assert done.messages == len(written(whole))
     assert done.damaged == 0
     assert done.seconds == pytest.approx((len(found) - 1) * TICK_NS * 1e-9)
@@ -1168,7 +1168,7 @@ class Whole(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def whole(run_of_64: tuple[Path, Heard]) -> Whole:
+def whole(run_of_64: tuple[Path, SignalLog]) -> Whole:
     """The recording of 64 ticks, taken apart."""
     folder, _ = run_of_64
     (file,) = files_of(folder)
@@ -1197,11 +1197,11 @@ def bag_of(whole: Whole, data: bytes, *, metadata: bool = True) -> Iterator[Path
         yield folder
 
 
-def refuses(folder: Path, says: str) -> None:
+def refuses(folder: Path, reason: str) -> None:
     """Hold that a repair is refused, and leaves everything as it is."""
     before = tree(folder) if folder.is_dir() else {}
     names = sorted(file.name for file in folder.iterdir()) if folder.is_dir() else []
-    with same_descriptors(), pytest.raises(BagError, match=says):
+    with same_descriptors(), pytest.raises(BagError, match=reason):
         repair(folder)
     if folder.is_dir():
         assert tree(folder) == before
@@ -1457,16 +1457,17 @@ def test_repairing_what_is_no_bag(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", [b"", b"mine, and no bag at all\n" * 100])
 @pytest.mark.parametrize(
-    ("ending", "says"), [(".mcap", "nothing in .*bag is intact"), (".db3", "is no intact database")]
+    ("ending", "reason"),
+    [(".mcap", "nothing in .*bag is intact"), (".db3", "is no intact database")],
 )
 @pytest.mark.slow
 def test_repairing_files_that_only_look_like_a_bag(
-    ending: str, says: str, content: bytes, tmp_path: Path
+    ending: str, reason: str, content: bytes, tmp_path: Path
 ) -> None:
     """An empty file, or a text: a BagError, and it is still there."""
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / f"bag_0{ending}").write_bytes(content)
-    refuses(tmp_path / "bag", says)
+    refuses(tmp_path / "bag", reason)
 
 
 def test_repairing_the_bag_of_another_recorder(tmp_path: Path) -> None:
@@ -1676,7 +1677,7 @@ def bag_for_readers(folder: Path, state: str) -> dict[str, int]:
     """Record a run into a bag that is as ``state`` says; return how many messages topics have."""
     table = start_table()
     with writing(folder, split_s=0.5 if state == "split" else 0.0) as writer:
-        taking = RunWriter(writer, RunMetadata.of_config(PLAN, table, VERSIONS), table)
+        taking = RunWriter(writer, RunMetadata.of_config(CONFIG, table, VERSIONS), table)
         run_loop(90, Extreme(taking))
         if state != "repaired":
             taking.finish()
@@ -1730,12 +1731,12 @@ def test_repairing_a_whole_bag_keeps_what_is_known_of_its_end(tmp_path: Path) ->
     """A bag that lacks nothing keeps the SHA-256 of its table; one that was cut does not."""
     for name, cut in (("whole", 0), ("cut", 100_000)):
         folder = tmp_path / name / "walk"
-        shutil.copytree(KEPT, folder)
+        shutil.copytree(SHIPPED_BAG, folder)
         file = folder / "walk_0.mcap"
         data = file.read_bytes()
         file.write_bytes(data[: len(data) - cut])
         repair(folder)
         known = read_metadata(folder)["custom_data"]
-        assert (known == read_metadata(KEPT)["custom_data"]) is (cut == 0)
+        assert (known == read_metadata(SHIPPED_BAG)["custom_data"]) is (cut == 0)
         if not cut:
             assert file.read_bytes() == data

@@ -27,7 +27,7 @@ from ember_ros.versions import versions
 from leg_node.assembly import empty_table
 from sim_node.fake import FakeWorld
 from support import bags
-from support.bags import Made
+from support.bags import RecordedRun
 from support.command import ember
 from support.configs import SMALL, changed
 from support.needs import needs_bags, needs_bullet
@@ -52,12 +52,12 @@ def hexapod(cycles: int = CYCLES, **options: Any) -> RunConfig:
 
 
 @pytest.fixture(scope="module")
-def walked(tmp_path_factory: pytest.TempPathFactory) -> Made:
+def walked(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
     """Record one run for all tests that only look at it."""
     return bags.record(tmp_path_factory.mktemp("hexapod") / "bag", hexapod(), falls_at=FALLS)
 
 
-def test_the_card_describes_the_robot(walked: Made) -> None:
+def test_the_card_describes_the_robot(walked: RecordedRun) -> None:
     """Who opens the bag needs no parameter file: the legs are those of the card, in order."""
     assert len(SIX) == 6
     with Bag(walked.bag) as bag:
@@ -74,7 +74,9 @@ def test_the_card_describes_the_robot(walked: Made) -> None:
             assert None not in of_legs
 
 
-def test_a_bag_of_others_needs_the_parameters_of_its_robot(walked: Made, tmp_path: Path) -> None:
+def test_a_bag_of_others_needs_the_parameters_of_its_robot(
+    walked: RecordedRun, tmp_path: Path
+) -> None:
     """Without a card nobody knows which legs there are: it is said, and with them it is read."""
     raws = [raw for raw in bags.raws_of(walked.bag) if "/run/" not in raw.topic]
     without_card = bags.write(tmp_path / "bag", raws)
@@ -84,7 +86,7 @@ def test_a_bag_of_others_needs_the_parameters_of_its_robot(walked: Made, tmp_pat
         assert list(bag.ticks()) == list(whole.ticks())
 
 
-def test_a_replay_of_six_legs_is_the_run(walked: Made) -> None:
+def test_a_replay_of_six_legs_is_the_run(walked: RecordedRun) -> None:
     """Senses, commands, rewards and the table of six."""
     with Bag(walked.bag) as bag:
         done = replay(bag)
@@ -92,7 +94,7 @@ def test_a_replay_of_six_legs_is_the_run(walked: Made) -> None:
     assert (done.compared, done.table.sha256()) == (6 * walked.ticks, walked.table)
 
 
-def test_six_legs_are_learnt_from(walked: Made) -> None:
+def test_six_legs_are_learnt_from(walked: RecordedRun) -> None:
     """With the numbers of the run the table of the run, with others another one."""
     learnt = relearn([walked.bag])
     assert learnt.table.sha256() == walked.table
@@ -159,7 +161,9 @@ def test_a_world_records_six_legs_as_the_loop_does(ros: Ros, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("run", [by_loop, by_graph], ids=["loop", "graph"])
-def test_six_leg_nodes_replay_the_bag(ros: Ros, walked: Made, run: Callable[..., Any]) -> None:
+def test_six_leg_nodes_replay_the_bag(
+    ros: Ros, walked: RecordedRun, run: Callable[..., Any]
+) -> None:
     """The loop's legs and real leg nodes, one a leg of the card: equal, bit for bit."""
     with Bag(walked.bag) as bag:
         done = replay(bag, run=run)
@@ -176,13 +180,13 @@ def test_a_recorder_beside_six_legs_writes_what_the_world_writes(
     from ember_ros.bag.recorder_node import RecorderNode
     from support.robot import Robot, overrides
 
-    own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
+    own, received = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
     config = hexapod()
     recorder = ros.add(
         RecorderNode(
             context=ros.context,
             namespace=namespace,
-            parameter_overrides=overrides({"bag": str(heard)}),
+            parameter_overrides=overrides({"bag": str(received)}),
         )
     )
     robot = Robot(
@@ -207,9 +211,9 @@ def test_a_recorder_beside_six_legs_writes_what_the_world_writes(
     )
     assert robot_recorder.missing == 0
     recorder.finish(ros.spin_once)
-    (one,), (other,) = own.glob("*.mcap"), heard.glob("*.mcap")
+    (one,), (other,) = own.glob("*.mcap"), received.glob("*.mcap")
     assert one.read_bytes() == other.read_bytes()
-    with Bag(heard) as bag:
+    with Bag(received) as bag:
         assert bag.legs == SIX
         assert bag.messages(topics.transition("middle_left")) == CYCLES * TICKS
         done = replay(bag)

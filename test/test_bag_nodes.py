@@ -39,7 +39,7 @@ from leg_node.table_node import TableNode
 from sim_node import node as sim_module
 from sim_node.fake import FakeWorld
 from support.bags import raws_of
-from support.configs import small_plan
+from support.configs import small_config
 from support.legs import LEGS
 from support.needs import needs_bags
 from support.robot import PATIENCE_S, Robot, matched, overrides
@@ -56,7 +56,7 @@ FALLS = {50, 51}
 
 def config(cycles: int = CYCLES, **options: Any) -> RunConfig:
     """Return a plan of a small walker; options with ``__`` in their names are parameters."""
-    return small_plan(cycles, **options)
+    return small_config(cycles, **options)
 
 
 def world_of(config: RunConfig) -> FakeWorld:
@@ -118,11 +118,11 @@ def bytes_of(bag: Path) -> dict[str, bytes]:
 
 def warnings(ros: Ros) -> Callable[[], str]:
     """Listen to the log of all nodes; return a function that gives what was warned of so far."""
-    heard = ros.messages(topics.Topic("/rosout", "rcl_interfaces/msg/Log"), matched=False)
+    received = ros.messages(topics.Topic("/rosout", "rcl_interfaces/msg/Log"), matched=False)
 
     def said() -> str:
         until_quiet(ros)
-        return "\n".join(f"{m.name}: {m.msg}" for m in heard if m.level > 20)
+        return "\n".join(f"{m.name}: {m.msg}" for m in received if m.level > 20)
 
     return said
 
@@ -167,20 +167,20 @@ def test_a_recorder_writes_the_bytes_that_the_world_writes(
     ros: Ros, tmp_path: Path, namespace: str
 ) -> None:
     """Started before the world it hears everything: the same file as the world's own, whole."""
-    own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
+    own, received = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
     said = warnings(ros)
-    recorder = recording(ros, heard, namespace)
+    recorder = recording(ros, received, namespace)
     robot = robot_of(ros, config(), namespace)
     robot.begin(recorder, bag=str(own))
     robot.run()
     until_recorded(ros, recorder, ALL, namespace)
     assert recorder_of(recorder, namespace).missing == 0
     recorder.finish(ros.spin_once)
-    assert list(bytes_of(heard)) == ["bag_0.mcap"]
-    assert bytes_of(heard) == bytes_of(own)
-    assert untimed(heard) == untimed(own)
+    assert list(bytes_of(received)) == ["bag_0.mcap"]
+    assert bytes_of(received) == bytes_of(own)
+    assert untimed(received) == untimed(own)
     assert "cannot be replayed" not in said()
-    with Bag(heard) as bag:
+    with Bag(received) as bag:
         assert bag.namespace == namespace
         done = replay(bag)
     assert done.equal
@@ -230,13 +230,13 @@ def test_a_recorder_that_joins_late_and_leaves_early_says_so_and_holds_nobody(
     said = warnings(ros)
     robot = robot_of(ros, config(10**6))
     robot.begin(patience=2.0)
-    robot.walk_to(100)
+    robot.spin_to_tick(100)
     joined = robot.tick
     recorder = recording(ros, tmp_path / "bag")
     until_recorded(ros, recorder, 100)
     recorder.finish(ros.spin_once)
     ros.remove(recorder)
-    robot.walk_to(robot.tick + 100)
+    robot.spin_to_tick(robot.tick + 100)
     assert "recorded from tick" in said()
     assert "no longer waits for it" not in said()
     with Bag(tmp_path / "bag") as bag:
@@ -282,19 +282,19 @@ def test_a_table_that_was_asked_for_too_late_is_not_the_one_at_the_start(
 @pytest.mark.slow
 def test_a_leg_that_dies_costs_its_commands_and_nothing_else(ros: Ros, tmp_path: Path) -> None:
     """The others, all senses and the body are there, tick by tick; the replay is equal."""
-    own, heard = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
-    recorder = recording(ros, heard)
+    own, received = tmp_path / "own" / "bag", tmp_path / "heard" / "bag"
+    recorder = recording(ros, received)
     robot = robot_of(ros, config(10**6, learning=False))
     robot.begin(recorder, bag=str(own), patience=0.5)
     until_recorded(ros, recorder, 40)
     robot.kill("leg_rear_left")
     died = robot.tick
-    robot.walk_to(died + 100)
+    robot.spin_to_tick(died + 100)
     robot.finish()
     done = robot.tick
     until_quiet(ros)
     recorder.finish(ros.spin_once)
-    for folder in (own, heard):
+    for folder in (own, received):
         with Bag(folder) as bag:
             ticks = list(bag.ticks())[:done]
             assert [tick.tick for tick in ticks] == list(range(done))
@@ -380,11 +380,11 @@ class Voice:
 def until_heard(ros: Ros, recorder: Any, tick: int) -> None:
     """Spin until a recorder has begun to record, and has heard of a tick."""
 
-    def heard() -> bool:
+    def received() -> bool:
         robot = recorder_of(recorder)
         return robot.run_writer is not None and robot._window.newest >= tick
 
-    ros.spin_until(heard, f"tick {tick} is heard")
+    ros.spin_until(received, f"tick {tick} is heard")
     until_quiet(ros)
 
 
@@ -570,7 +570,7 @@ def test_a_leg_of_others_making_is_recorded_and_not_replayed(
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("changes", "reason"),
     [
         ({"seed": 9}, r"its legs had different configurations .*'seed': 9"),
         ({"shared": False}, r"its legs had different configurations .*'shared': False"),
@@ -579,7 +579,7 @@ def test_a_leg_of_others_making_is_recorded_and_not_replayed(
     ids=["seed", "shared", "parameter"],
 )
 def test_legs_that_were_told_different_things_are_not_replayed(
-    ros: Ros, tmp_path: Path, changes: dict[str, Any], says: str
+    ros: Ros, tmp_path: Path, changes: dict[str, Any], reason: str
 ) -> None:
     """No plan says what these legs did: the replay refuses and says why, the bag is whole."""
     robot = robot_of(ros, config(1), leg_rear_left=changes)
@@ -587,7 +587,7 @@ def test_legs_that_were_told_different_things_are_not_replayed(
     robot.run()
     with Bag(tmp_path / "bag") as bag:
         assert len(list(bag.ticks())) == TICKS
-        with pytest.raises(BagError, match=says):
+        with pytest.raises(BagError, match=reason):
             replay(bag)
 
 
@@ -679,7 +679,7 @@ class Playing:
         self.raws = list(self.bag.raw())
         options = {"rate": 10.0, "paused": True} | options
         self.node: Any = ros.add(PlayerNode(self.bag, context=ros.context, **options))
-        self.heard = {
+        self.received = {
             each.topic_name: ros.messages(topics.Topic(each.topic_name, kind), raw=True)
             for each in self.node.publishers
             if (kind := self._kinds.get(each.topic_name))
@@ -705,14 +705,14 @@ class Playing:
         self._ros.spin_until(lambda: self.node.done, "the end of the bag")
         until_quiet(self._ros)
         self._ros.spin_until(
-            lambda: sum(map(len, self.heard.values())) >= self.node.played, "all is heard"
+            lambda: sum(map(len, self.received.values())) >= self.node.played, "all is heard"
         )
 
     def of_bag(self, from_ns: int = 0, without: Collection[str] = ()) -> dict[str, list[bytes]]:
         """Return what of the bag should be heard."""
         return {
             topic: [r.data for r in self.raws if r.topic == topic and r.ns >= from_ns]
-            for topic in self.heard
+            for topic in self.received
             if topic not in without
         }
 
@@ -728,10 +728,10 @@ def test_every_message_is_heard_as_it_was_recorded(
     clock.step = ticks * TICK_NS * 1e-9 / rate
     playing = Playing(ros, walked, rate=rate)
     playing.play()
-    assert set(playing.heard) == set(playing.bag.connections)
-    assert playing.heard == playing.of_bag()
+    assert set(playing.received) == set(playing.bag.connections)
+    assert playing.received == playing.of_bag()
     assert playing.node.played == len(playing.raws)
-    assert len(playing.heard["/clock"]) == ALL
+    assert len(playing.received["/clock"]) == ALL
     playing.bag.close()
 
 
@@ -744,9 +744,9 @@ def test_a_robot_in_a_namespace_is_played_alone_and_sets_the_clock_too(
     playing.play()
     own = {topic for topic in playing.bag.connections if topic.startswith("/robot_1/")}
     own = {topic for topic in own if not topic.startswith("/robot_1/trailer/")}
-    assert set(playing.heard) == own | {"/clock"}
+    assert set(playing.received) == own | {"/clock"}
     expected = playing.of_bag(without=["/clock"])
-    assert playing.heard == expected | {"/clock": expected["/robot_1/clock"]}
+    assert playing.received == expected | {"/clock": expected["/robot_1/clock"]}
     playing.bag.close()
 
 
@@ -757,8 +757,8 @@ def test_a_robot_without_a_namespace_is_played_alone(
     folder = by_loop(tmp_path / "bag", config(1), "", "robot_1")
     playing = Playing(ros, folder, "")
     playing.play()
-    assert not [topic for topic in playing.heard if topic.startswith("/robot_1/")]
-    assert playing.heard == playing.of_bag()
+    assert not [topic for topic in playing.received if topic.startswith("/robot_1/")]
+    assert playing.received == playing.of_bag()
     playing.bag.close()
 
 
@@ -780,7 +780,7 @@ def test_a_pause_stops_it_and_it_goes_on_where_it_was(ros: Ros, walked: Path, cl
         assert (playing.node.played, playing.node.seconds) == (stopped, seconds)
         playing.pause(False)
     playing.play()
-    assert playing.heard == playing.of_bag()
+    assert playing.received == playing.of_bag()
     playing.bag.close()
 
 
@@ -792,8 +792,8 @@ def test_what_lies_before_the_start_is_left_out(
     playing = Playing(ros, walked, start_s=start_s)
     assert playing.node.seconds == start_s
     playing.play()
-    assert playing.heard == playing.of_bag(round(start_s * 1e9))
-    assert playing.heard["/run/card"] == []
+    assert playing.received == playing.of_bag(round(start_s * 1e9))
+    assert playing.received["/run/card"] == []
     playing.bag.close()
 
 
@@ -808,9 +808,9 @@ def live_leg(ros: Ros, own: RunConfig, leg: str) -> Any:
     return LegNode(context=ros.context, parameter_overrides=overrides(numbers | options))
 
 
-@pytest.mark.parametrize("onlooker", [False, True], ids=["alone", "with an onlooker"])
+@pytest.mark.parametrize("with_observer", [False, True], ids=["alone", "with an onlooker"])
 def test_a_live_leg_is_waited_for_and_answers_every_tick(
-    ros: Ros, tmp_path: Path, clock: Clock, onlooker: bool
+    ros: Ros, tmp_path: Path, clock: Clock, with_observer: bool
 ) -> None:
     """Its recorded commands are left out; it begins when the leg is there, whoever else listens.
 
@@ -819,7 +819,7 @@ def test_a_live_leg_is_waited_for_and_answers_every_tick(
     own = config(2, policy="scripted", learning=False)
     folder = by_loop(tmp_path / "bag", own)
     options: dict[str, Any] = {"rate": 10.0, "live": ["front_left"]}
-    playing = Playing(ros, folder, paused=False, **options) if onlooker else None
+    playing = Playing(ros, folder, paused=False, **options) if with_observer else None
     bag = playing.bag if playing else Bag(folder)
     player = playing.node if playing else ros.add(PlayerNode(bag, context=ros.context, **options))
     looks = clock.looks
@@ -834,8 +834,8 @@ def test_a_live_leg_is_waited_for_and_answers_every_tick(
     assert answers == recorded
     assert leg.refused == 0
     if playing:
-        assert not {"/front_left/command", "/front_left/transition"} & playing.heard.keys()
-        assert playing.heard == playing.of_bag()
+        assert not {"/front_left/command", "/front_left/transition"} & playing.received.keys()
+        assert playing.received == playing.of_bag()
     bag.close()
 
 
@@ -855,7 +855,7 @@ PLANS = {
     "walker, other numbers": config(
         0, seed=11, policy="random", learning=False, walk__gamma=0.5, reward__slip=2.5,
         walker__mass=4.0, physics__friction=0.8, leg__load=20.0,
-        robot__offset=(0.0, 0.5, 0.25, 0.0), parts__cpg="support.oscillators.Hurrying",
+        robot__offset=(0.0, 0.5, 0.25, 0.0), parts__cpg="support.oscillators.ContactDrivenCpg",
     ),
     "trainer": RunConfig("trainer", 0, seed=2, params=replace(Params(), {"trainer.tip_mass": 2.0})),
 }  # fmt: skip
@@ -906,11 +906,11 @@ def test_a_recorder_that_heard_nobody_ends_with_an_error(
     monkeypatch.setattr("ember_ros.bag.recorder_node.LOG_S", 0.0)
     said: list[str] = []
 
-    def says() -> bool:
+    def reason() -> bool:
         said.append(capfd.readouterr().err)
         return "/robot: nothing is recorded, no robot publishes here yet" in "".join(said)
 
     recorder = recording(ros, tmp_path / "bag", "/robot")
-    ros.spin_until(says, "that it records nothing")
+    ros.spin_until(reason, "that it records nothing")
     with pytest.raises(BagError, match=r"no robot was found in /robot: the bag .*bag is empty"):
         recorder.finish(ros.spin_once)

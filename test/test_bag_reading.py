@@ -91,7 +91,7 @@ class Listener:
 
     def __init__(self) -> None:
         """Begin with nothing."""
-        self.heard: list[Tick] = []
+        self.received: list[Tick] = []
 
     def tick(
         self,
@@ -103,14 +103,14 @@ class Listener:
     ) -> None:
         """Keep one tick."""
         told = tuple(senses), tuple(commands), body, tuple(transitions)
-        self.heard.append(Tick(beat.tick, beat, *told))
+        self.received.append(Tick(beat.tick, beat, *told))
 
 
 class Run(NamedTuple):
     """A run that was recorded."""
 
     bag: Path
-    heard: list[Tick]
+    received: list[Tick]
     config: RunConfig
     rows: list[Row]
     """Of the ``cycles.csv`` that was written beside it."""
@@ -158,7 +158,7 @@ def record(
     if storage == "sqlite3":
         in_sqlite(bag)
     rows = load_record(bag.with_name(f"{bag.name}-beside")).rows
-    return Run(bag, listener.heard, config, rows)
+    return Run(bag, listener.received, config, rows)
 
 
 def in_sqlite(bag: Path) -> Path:
@@ -232,11 +232,11 @@ def senses_of(tick: Tick) -> list[LegSense]:
     return senses
 
 
-def hold_equal(ticks: Sequence[Tick], heard: Sequence[Tick]) -> None:
+def hold_equal(ticks: Sequence[Tick], received: Sequence[Tick]) -> None:
     """Hold that ticks are equal: all bits, but for angles that went through a quaternion."""
     # A float's repr names its bits, the sign of a zero too; and a bool is not a float in it.
-    assert [repr(tick[:4]) for tick in ticks] == [repr(tick[:4]) for tick in heard]
-    for tick, other in zip(ticks, heard, strict=True):
+    assert [repr(tick[:4]) for tick in ticks] == [repr(tick[:4]) for tick in received]
+    for tick, other in zip(ticks, received, strict=True):
         assert repr(tick.body[:3]) == repr(other.body[:3])
         assert tuple(tick.body) == pytest.approx(tuple(other.body), abs=1e-9)
 
@@ -520,7 +520,7 @@ WHOLE = RunMetadata.of_config(
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("changes", "reason"),
     [
         ({"first_tick": 5}, ("tick 5", "start the recorder before the world")),
         ({"start_table_sha256": None}, ("table at its start", "not requested in time")),
@@ -539,14 +539,14 @@ WHOLE = RunMetadata.of_config(
         ({"legs": {}}, (", ".join(LEGS), "not leg nodes of ember_ros")),
     ],
 )
-def test_what_cannot_be_replayed_says_why(changes: dict[str, Any], says: Sequence[str]) -> None:
+def test_what_cannot_be_replayed_says_why(changes: dict[str, Any], reason: Sequence[str]) -> None:
     """A run whose beginning, table or legs are not known has no plan; the message names it."""
     run_metadata = dataclasses.replace(WHOLE, **changes)
     again = read_run_metadata(run_metadata.to_json(), "here")
     assert again == run_metadata
     with pytest.raises(BagError, match="cannot be replayed") as refused:
         again.config(1, None)
-    for each in says:
+    for each in reason:
         assert each in str(refused.value)
 
 
@@ -668,7 +668,7 @@ def test_every_tick_comes_back_with_all_its_bits(
         falls_at=[9, 30],
     )
     assert len(list(run.bag.glob(f"*{STORAGES[storage]}"))) == (3 if split_s else 1)
-    hold_equal(read(run.bag), run.heard)
+    hold_equal(read(run.bag), run.received)
     with Bag(run.bag) as opened:
         assert (opened.world, opened.legs) == (world, legs_of(world, PARAMS))
         assert opened.namespace == namespace
@@ -677,9 +677,9 @@ def test_every_tick_comes_back_with_all_its_bits(
         assert opened.run_metadata.config(1, None) == run.config
         assert opened.table is not None
         assert opened.table.sha256() == opened.run_metadata.start_table_sha256
-        assert opened.messages(topics.PHASE) == len(run.heard)
+        assert opened.messages(topics.PHASE) == len(run.received)
         assert opened.start_ns == 0
-        assert [raw.ns for raw in opened.raw()][-1] == (len(run.heard) - 1) * TICK_NS
+        assert [raw.ns for raw in opened.raw()][-1] == (len(run.received) - 1) * TICK_NS
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -687,7 +687,7 @@ def test_one_file_is_read_like_its_folder(tmp_path: Path, storage: str) -> None:
     """A file that was copied out of its bag is one, too."""
     run = record(tmp_path / "bag", TICKS, storage=storage)
     (file,) = run.bag.glob(f"*{STORAGES[storage]}")
-    hold_equal(read(Path(shutil.copy(file, tmp_path / f"alone{file.suffix}"))), run.heard)
+    hold_equal(read(Path(shutil.copy(file, tmp_path / f"alone{file.suffix}"))), run.received)
 
 
 def test_a_bag_can_be_read_again_and_again(walked: Run) -> None:
@@ -729,23 +729,23 @@ def test_commands_that_nobody_gave_are_none(tmp_path: Path) -> None:
     """A leg that was absent has no command in its ticks, and in no other."""
     run = record(tmp_path / "bag", TICKS)
     absent = {(3, 0), (3, 2), (17, 1)}
-    heard = [
+    received = [
         tick._replace(
             commands=tuple(
                 None if (tick.tick, n) in absent else command
                 for n, command in enumerate(tick.commands)
             )
         )
-        for tick in run.heard
+        for tick in run.received
     ]
     writer = McapWriter(BagOptions(tmp_path / "again"))
     table = empty_table(PARAMS)
     recording = RunWriter(writer, RunMetadata.of_config(run.config, table, {}), table)
-    for tick, whole in zip(heard, run.heard, strict=True):
+    for tick, whole in zip(received, run.received, strict=True):
         recording.tick(tick.beat, senses_of(whole), tick.commands, tick.body, tick.transitions)
     recording.finish()
     writer.close()
-    hold_equal(read(tmp_path / "again"), heard)
+    hold_equal(read(tmp_path / "again"), received)
 
 
 def test_raw_messages_are_all_there_in_the_order_of_their_times(walked: Run) -> None:
@@ -774,18 +774,18 @@ def test_order_and_log_times_do_not_matter(
     storage: str,
 ) -> None:
     """Topics late in any way, wall-clock times, no card, no CRC, by another writer: the same."""
-    draw, heard = random.Random(seed), dict[str, float]()
+    draw, received = random.Random(seed), dict[str, float]()
     come: list[tuple[float, int, Raw]] = []
     for n, raw in enumerate(raws_of(walked.bag)):
         # A topic's own messages keep their order: it has one publisher, and nothing overtakes.
-        at = max(heard.get(raw.topic, 0.0), raw.ns / TICK_NS + draw.uniform(0.0, spread))
-        heard[raw.topic] = at
+        at = max(received.get(raw.topic, 0.0), raw.ns / TICK_NS + draw.uniform(0.0, spread))
+        received[raw.topic] = at
         come.append((at, n, raw))
     shuffled = [
         raw._replace(ns=NOON + place * 1_000_003) for place, (*_, raw) in enumerate(sorted(come))
     ]
     folder = tmp_path_factory.mktemp("others") / "bag"
-    hold_equal(read(write_as_others_do(folder, shuffled, storage)), walked.heard)
+    hold_equal(read(write_as_others_do(folder, shuffled, storage)), walked.received)
     with Bag(folder) as opened:
         assert opened.run_metadata is None
         assert opened.table is None
@@ -798,7 +798,8 @@ def test_a_bag_may_begin_in_the_middle(walked: Run, messages: list[Raw], tmp_pat
     late = [raw for raw in messages if raw.ns >= 50 * TICK_NS]
     ticks = read(write_as_others_do(tmp_path / "bag", late))
     rest = [
-        tick._replace(body=tick.body._replace(falls=int(tick.tick >= 64))) for tick in walked.heard
+        tick._replace(body=tick.body._replace(falls=int(tick.tick >= 64)))
+        for tick in walked.received
     ]
     hold_equal(ticks, rest[50:])
 
@@ -812,7 +813,7 @@ def test_bags_without_clock_or_odometry_are_read(
     nowhere = BodyState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
     hold_equal(
         ticks,
-        [t._replace(body=nowhere._replace(falls=t.body.falls)) for t in walked.heard],
+        [t._replace(body=nowhere._replace(falls=t.body.falls)) for t in walked.received],
     )
 
 
@@ -820,11 +821,11 @@ def test_numbers_of_another_gait_are_read_with_its_parameters(tmp_path: Path) ->
     """The card says them; for a bag without one they are given, or it is said what is off."""
     slow = replace(PARAMS, {"gait.period": 1.0})
     run = record(tmp_path / "bag", TICKS, params=slow)
-    hold_equal(read(run.bag), run.heard)
+    hold_equal(read(run.bag), run.received)
     others = write_as_others_do(tmp_path / "others", raws_of(run.bag))
     with Bag(others, params=slow) as opened:
         assert opened.params == slow
-        hold_equal(list(opened.ticks()), run.heard)
+        hold_equal(list(opened.ticks()), run.received)
     faster = replace(PARAMS, {"gait.period": 0.48})
     with Bag(others, params=faster) as opened, pytest.raises(BagError, match=r"gait\.period"):
         list(opened.ticks())
@@ -884,7 +885,7 @@ def test_lost_messages_are_none_in_their_tick_and_leg(
     database: Database, lost: set[tuple[int, Any, str]]
 ) -> None:
     """And nowhere else; a CRC speaks against no others."""
-    heard = database.run.heard
+    received = database.run.received
     file = database.change({(f"/{make(leg).name}", tick): None for tick, make, leg in lost})
     blind = {(tick, leg) for tick, make, leg in lost if make is not topics.command}
     mute = {(tick, leg) for tick, make, leg in lost if make is topics.command}
@@ -902,7 +903,7 @@ def test_lost_messages_are_none_in_their_tick_and_leg(
                 for leg, command in zip(LEGS, tick.commands, strict=True)
             ),
         )
-        for tick in heard
+        for tick in received
     ]
     assert [repr(tick[:4]) for tick in ticks] == [repr(tick[:4]) for tick in expected]
 
@@ -911,7 +912,7 @@ def test_a_tick_without_its_phase_is_left_out(database: Database) -> None:
     """Nobody knows what legs did in it; all others are there."""
     with Bag(database.change({("/cpg/phase", 7): None})) as opened:
         ticks = list(opened.ticks())
-    hold_equal(ticks, [tick for tick in database.run.heard if tick.tick != 7])
+    hold_equal(ticks, [tick for tick in database.run.received if tick.tick != 7])
 
 
 def test_lost_ticks_are_a_gap(messages: list[Raw], walked: Run, tmp_path: Path) -> None:
@@ -920,7 +921,7 @@ def test_lost_ticks_are_a_gap(messages: list[Raw], walked: Run, tmp_path: Path) 
     left = [raw for raw in messages if raw.ns // TICK_NS not in gone or "/run/" in raw.topic]
     with Bag(write(tmp_path / "bag", left)) as opened:
         ticks = list(opened.ticks())
-    expected = [tick for tick in walked.heard if tick.tick not in gone]
+    expected = [tick for tick in walked.received if tick.tick not in gone]
     assert [repr(tick[:4]) for tick in ticks] == [repr(tick[:4]) for tick in expected]
 
 
@@ -997,7 +998,7 @@ def test_every_block_of_crcs_is_held_against_its_ticks(
     with Bag(write(tmp_path / "bag", map(spoilt, messages), storage)) as opened:
         ticks = list(opened.ticks())
         assert {(damage.tick, damage.leg) for damage in opened.damages} == changed
-        assert len(ticks) == len(walked.heard)
+        assert len(ticks) == len(walked.received)
         list(opened.ticks())
         assert len(opened.damages) == len(changed)  # of the last pass only
 
@@ -1260,13 +1261,13 @@ BAD: dict[str, tuple[Spoil, tuple[str, ...]]] = {
 }
 
 
-@pytest.mark.parametrize(("spoil", "says"), BAD.values(), ids=BAD)
-def test_what_cannot_be_read_says_why(bag: Path, spoil: Spoil, says: Sequence[str]) -> None:
+@pytest.mark.parametrize(("spoil", "reason"), BAD.values(), ids=BAD)
+def test_what_cannot_be_read_says_why(bag: Path, spoil: Spoil, reason: Sequence[str]) -> None:
     """What is wrong, where, and what would be right; and no file is left open."""
     path = spoil(bag)
     with pytest.raises(BagError) as refused, Bag(path):
         pass
-    for each in (str(path), *says):
+    for each in (str(path), *reason):
         assert each in str(refused.value), str(refused.value)
     assert "\n" not in str(refused.value)
 
@@ -1292,7 +1293,7 @@ def test_a_truncated_file_is_never_taken_for_a_whole_one(
         said = str(error)
     else:  # in the last page of a database there may be nothing that a reader needs
         assert storage == "sqlite3"
-        hold_equal(ticks, run.heard)
+        hold_equal(ticks, run.received)
         said = "damaged"
     assert "damaged" in said
 
@@ -1339,14 +1340,14 @@ def test_of_two_robots_one_is_chosen(tmp_path: Path) -> None:
         Bag(tmp_path / "bag")
     assert "/robot_1, /robot_2" in str(refused.value)
     for name, run in runs.items():
-        hold_equal(read(tmp_path / "bag", name), run.heard)
+        hold_equal(read(tmp_path / "bag", name), run.received)
         with Bag(tmp_path / "bag", namespace=f"/{name}/") as opened:
             assert opened.namespace == name
             assert opened.robots() == ["robot_1", "robot_2"]
             assert opened.messages(topics.PHASE) == 40
             assert opened.run_metadata is not None
             assert opened.run_metadata.config(1, None) == run.config
-    assert runs["robot_1"].heard != runs["robot_2"].heard
+    assert runs["robot_1"].received != runs["robot_2"].received
 
 
 def test_the_robot_of_no_namespace_can_be_chosen(tmp_path: Path) -> None:
@@ -1357,7 +1358,7 @@ def test_the_robot_of_no_namespace_can_be_chosen(tmp_path: Path) -> None:
     writer.close()
     with pytest.raises(BagError, match="--namespace"):
         Bag(tmp_path / "bag")
-    hold_equal(read(tmp_path / "bag", "/"), first.heard)
+    hold_equal(read(tmp_path / "bag", "/"), first.received)
 
 
 def test_a_namespace_that_is_not_there_is_said(walked: Run, tmp_path: Path) -> None:
@@ -1433,9 +1434,9 @@ def test_lines_are_those_that_were_written_beside_the_run(tmp_path: Path, world:
     modules = [*run.config.legs, BODY]
     whole = 4 * len(modules)
     hold_rows_equal(rows[:whole], run.rows[:whole])
-    last = run.heard[-1]
+    last = run.received[-1]
     recorder = RunStatistics(PARAMS, run.config.legs)
-    for tick in run.heard:
+    for tick in run.received:
         recorder.tick(tick.beat, senses_of(tick), tick.commands, tick.body, tick.transitions)
     ended = [each._replace(tick=each.tick + 1, first_tick=True) for each in senses_of(last)]
     recorder.finish(ended, last.body)
@@ -1447,7 +1448,7 @@ def test_info_counts_what_is_there(walked: Run) -> None:
     """Ticks, seconds, cycles, falls, distance, messages, files, provenance: all as it was."""
     with Bag(walked.bag) as opened:
         found, rows = inspection.info(opened)
-    ticks, bodies = len(walked.heard), [tick.body for tick in walked.heard]
+    ticks, bodies = len(walked.received), [tick.body for tick in walked.received]
     assert found["bag"] == str(walked.bag)
     assert (found["namespace"], found["world"]) == ("/", "walker")
     assert (found["first_tick"], found["ticks"]) == (0, ticks)
@@ -1531,7 +1532,7 @@ def test_who_looks_into_a_bag_runs_no_world_that_it_names(
 
 
 @pytest.mark.parametrize(
-    ("path", "says"),
+    ("path", "reason"),
     [
         ("no_such_package.Mine", "there is no module 'no_such_package'"),
         ("builtins.print", "makes a NoneType without shape"),
@@ -1540,13 +1541,13 @@ def test_who_looks_into_a_bag_runs_no_world_that_it_names(
     ],
 )
 def test_a_replay_says_which_part_is_not_here(
-    messages: list[Raw], tmp_path: Path, path: str, says: str
+    messages: list[Raw], tmp_path: Path, path: str, reason: str
 ) -> None:
     """In one line with its name, as wherever a robot is put together."""
     folder = with_parts(messages, tmp_path / "bag", discretizer=path)
     with (
         Bag(folder) as opened,
-        pytest.raises(ParameterError, match=rf"^parts\.discretizer = '{path}'.*{says}"),
+        pytest.raises(ParameterError, match=rf"^parts\.discretizer = '{path}'.*{reason}"),
     ):
         replay(opened)
 
@@ -1661,14 +1662,14 @@ def hold_line(line: dict[str, str], run: Run, tick: Tick, after: Tick | None, le
         if sense is not None:
             assert line["state"] == str(PaperDiscretizer(PARAMS).index(sense, stance))
     speeds, rewarder = PARAMS.leg.knee_speeds, PaperReward(PARAMS)
-    did = None if after is None else after.transitions[n]
-    if after is None or did is None or not did.credited:
+    transition = None if after is None else after.transitions[n]
+    if after is None or transition is None or not transition.credited:
         assert line["action"] == line["reward"] == line["td_error"] == ""
         assert {line[f"reward_{name}"] for name in rewarder.names} == {""}
     else:
         if command is not None:
             assert line["action"] == str(speeds.index(command.knee_speed))
-        assert repr(float(line["td_error"])) == repr(did.td_error)
+        assert repr(float(line["td_error"])) == repr(transition.td_error)
         then = after.senses[n]
         if then is not None:
             terms = dict.fromkeys(rewarder.names, 0.0) | rewarder.terms(then, paid)
@@ -1694,9 +1695,9 @@ def test_a_line_a_tick_and_leg(tmp_path: Path, world: str) -> None:
     lines = lines_of(files[1])
     terms = (f"reward_{name}" for name in PaperReward.names)
     assert tuple(lines[0]) == (*inspection.TICK_COLUMNS, *terms)
-    assert len(lines) == len(run.heard) * len(run.config.legs)
+    assert len(lines) == len(run.received) * len(run.config.legs)
     rest = iter(lines)
-    for tick, after in zip(run.heard, [*run.heard[1:], None], strict=True):
+    for tick, after in zip(run.received, [*run.received[1:], None], strict=True):
         for leg, line in zip(run.config.legs, rest, strict=False):
             assert line["leg"] == leg
             hold_line(line, run, tick, after, leg)
@@ -1722,15 +1723,17 @@ def test_what_is_missing_is_empty_in_its_line(
     ]
     with Bag(write(tmp_path / "bag", left)) as opened:
         files = inspection.write_csv(opened, tmp_path / "csv")
-    heard = {tick.tick: tick for tick in walked.heard if tick.tick != 22}
-    heard[5] = heard[5]._replace(senses=(*heard[5].senses[:2], None, heard[5].senses[3]))
-    heard[8] = heard[8]._replace(commands=(None, *heard[8].commands[1:]))
-    heard[9] = heard[9]._replace(transitions=(*heard[9].transitions[:3], None))
+    received = {tick.tick: tick for tick in walked.received if tick.tick != 22}
+    received[5] = received[5]._replace(
+        senses=(*received[5].senses[:2], None, received[5].senses[3])
+    )
+    received[8] = received[8]._replace(commands=(None, *received[8].commands[1:]))
+    received[9] = received[9]._replace(transitions=(*received[9].transitions[:3], None))
     lines = lines_of(files[1])
-    assert len(lines) == 4 * len(heard)
+    assert len(lines) == 4 * len(received)
     for line in lines:
-        tick = heard[int(line["tick"])]
-        hold_line(line, walked, tick, heard.get(tick.tick + 1), line["leg"])
+        tick = received[int(line["tick"])]
+        hold_line(line, walked, tick, received.get(tick.tick + 1), line["leg"])
     empty = [(line["tick"], line["leg"]) for line in lines if line["reward"] == ""]
     assert ("8", "rear_right") in empty
     assert not {("4", "rear_left"), ("8", "front_left")} & set(empty)

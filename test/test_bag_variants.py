@@ -20,7 +20,7 @@ import yaml
 from ember_ros.bag.reader import Bag
 from ember_ros.bag.storage import INFORMATION, METADATA
 from ember_ros.errors import BagError
-from support.bags import KEPT
+from support.bags import SHIPPED_BAG
 from support.needs import needs_bags
 
 pytestmark = needs_bags
@@ -52,7 +52,7 @@ def messages() -> Messages:
     """Return the first messages of a walk, as they lie in its file."""
     from mcap.reader import make_reader
 
-    (file,) = KEPT.glob("*.mcap")
+    (file,) = SHIPPED_BAG.glob("*.mcap")
     found = []
     with file.open("rb") as raw:
         for schema, channel, message in make_reader(raw).iter_messages(log_time_order=False):
@@ -451,9 +451,9 @@ def test_what_cannot_be_read_whole_is_refused(
     layout: str, messages: Messages, tmp_path: Path
 ) -> None:
     """In words that name what it is, and never as a bag that holds less."""
-    write, says = REFUSED[layout]
+    write, reason = REFUSED[layout]
     write(tmp_path, messages)
-    with pytest.raises(BagError, match=says):
+    with pytest.raises(BagError, match=reason):
         ticks_of(tmp_path)
 
 

@@ -18,7 +18,7 @@ from ember_ros.run_config import RunConfig
 from ember_ros.shipped import BAG, DATA
 from support.command import child, environment
 from support.needs import needs_bullet
-from support.runs import recorded
+from support.runs import run_and_record
 
 pytestmark = needs_bullet
 
@@ -154,7 +154,7 @@ def test_a_replay_needs_no_sine_of_the_c_library() -> None:
 def trained(*, learning: bool = True) -> tuple[dict[str, str], list[float]]:
     """Return the hashes of a training of plain in Bullet, and the reward of each of its cycles."""
     config = RunConfig("trainer", 300, seed=3, params=load_params("plain"), learning=learning)
-    table, recorder = recorded(config)
+    table, recorder = run_and_record(config)
     found = recorder.summary()
     kinds = ("senses", "commands", "transitions")
     told = {kind: found[f"{kind}_sha256"] for kind in kinds} | {"table": table.sha256()}

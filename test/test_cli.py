@@ -28,7 +28,7 @@ from ember_ros.report.run_statistics import Row, load_record
 from ember_ros.run import EARLIER, SUMMARY, TABLE
 from ember_ros.spinning import Stop
 from leg_node.table_file import load_table
-from support.command import EMBER, child, ember, environment, nobody_reads, started
+from support.command import EMBER, child, closed_pipe, ember, environment, started
 from support.needs import needs_bullet
 from support.waiting import DEADLINE_S, until
 
@@ -267,7 +267,7 @@ def test_a_path_that_standard_output_has_no_letters_for_is_spelt_out(tmp_path: P
 def test_who_hears_only_the_first_line_ends_nothing(tmp_path: Path) -> None:
     """``ember params | head -1``: no traceback."""
     for words in (("params", "--describe"), ("train", "--cycles", "1", "--out", tmp_path / "run")):
-        with nobody_reads() as pipe:
+        with closed_pipe() as pipe:
             done = child([*EMBER, *words], stdout=pipe)
         assert "Traceback" not in done.stderr
     assert (tmp_path / "run" / SUMMARY).exists()

@@ -32,7 +32,7 @@ from leg_node.assembly import empty_table
 from leg_node.reward import PaperReward
 from leg_node.table_file import load_table, save_table
 from support import bags
-from support.bags import Made, write
+from support.bags import RecordedRun, write
 from support.configs import TINY as PARAMS
 from support.legs import LEGS
 from support.needs import needs_bags, needs_bullet
@@ -93,13 +93,13 @@ def record(
     world: str = "walker",
     table: Path | None = None,
     **how: Any,
-) -> Made:
+) -> RecordedRun:
     """Record a run of the fake world, in which the robot falls twice."""
     config = RunConfig(world, cycles, seed=seed, params=PARAMS, table=table)
     return bags.record(bag, config, falls_at=[20, 50], about={"ember_ros": "1.2.3"}, **how)
 
 
-def rewritten(made: Made, bag: Path, change: Change) -> Path:
+def rewritten(made: RecordedRun, bag: Path, change: Change) -> Path:
     """Write a bag anew, some of its messages changed or (None) left out, sealed as before."""
     changed = map(change, bags.raws_of(made.bag))
     return write(bag, (raw for raw in changed if raw is not None), made.table)
@@ -145,13 +145,13 @@ def without(*topics: str, since: int = 0, until: int = 10**6) -> Change:
 
 
 @pytest.fixture(scope="module")
-def walked(tmp_path_factory: pytest.TempPathFactory) -> Made:
+def walked(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
     """Record a walk once for all tests that only look at it."""
     return record(tmp_path_factory.mktemp("walked") / "walk")
 
 
 @pytest.fixture(scope="module")
-def others(walked: Made) -> Path:
+def others(walked: RecordedRun) -> Path:
     """Return a bag of another recorder: nobody knows what determined it."""
     return rewritten(
         walked,
@@ -161,13 +161,13 @@ def others(walked: Made) -> Path:
 
 
 @pytest.fixture(scope="module")
-def damaged(walked: Made) -> Path:
+def damaged(walked: RecordedRun) -> Path:
     """Return a bag in which one leg's senses were changed at one tick."""
     return rewritten(walked, walked.bag.with_name("damaged"), slid("rear_left", 40))
 
 
 @pytest.fixture(scope="module")
-def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Made]:
+def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, RecordedRun]:
     """Record two robots into one bag."""
     bag = tmp_path_factory.mktemp("two") / "two"
     writer = McapWriter(BagOptions(bag))
@@ -183,7 +183,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Made]:
 
 
 @pytest.mark.parametrize(
-    ("command", "says"),
+    ("command", "reason"),
     [
         ("replay", ("--on", "--rate", "--namespace", "--table", "bit for bit", "exit code is 0")),
         ("play", ("--rate", "--start", "--paused", "--live", "--namespace", "play/pause")),
@@ -196,10 +196,10 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Made]:
         ("train", ("--bag", "--split-s", "--split-mb")),
     ],
 )
-def test_help_tells_what_can_be_asked(run: Go, command: str, says: Sequence[str]) -> None:
+def test_help_tells_what_can_be_asked(run: Go, command: str, reason: Sequence[str]) -> None:
     """Every command that has to do with bags says what it is for and what its options are."""
     text = words_of(run(*command.split(), "--help"))
-    for each in (f"Usage: ember {command}", *says):
+    for each in (f"Usage: ember {command}", *reason):
         assert each in text
     assert command.split()[0] in run("--help")
 
@@ -236,7 +236,7 @@ SPOILT = {
 
 
 @pytest.fixture(scope="module")
-def spoilt(walked: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def spoilt(walked: RecordedRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make what is no bag, in a folder."""
     folder = tmp_path_factory.mktemp("spoilt")
     (folder / "notes.txt").write_text("a text")
@@ -280,7 +280,9 @@ def test_every_command_says_it_alike(run: Go, spoilt: Path, command: str, name: 
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_of_two_robots_one_must_be_chosen(run: Go, two: dict[str, Made], command: str) -> None:
+def test_of_two_robots_one_must_be_chosen(
+    run: Go, two: dict[str, RecordedRun], command: str
+) -> None:
     """Nothing is guessed: the mistake names both, and the option."""
     bag = two["robot_1"].bag
     said = mistake(run, *command.split(), bag)
@@ -288,7 +290,7 @@ def test_of_two_robots_one_must_be_chosen(run: Go, two: dict[str, Made], command
     assert "--namespace" in said
 
 
-def test_a_robot_that_is_not_there_is_said(run: Go, two: dict[str, Made]) -> None:
+def test_a_robot_that_is_not_there_is_said(run: Go, two: dict[str, RecordedRun]) -> None:
     """With those that are."""
     said = mistake(run, "bag", "info", two["robot_1"].bag, "--namespace", "robot_3")
     assert "robot_3" in said
@@ -298,7 +300,7 @@ def test_a_robot_that_is_not_there_is_said(run: Go, two: dict[str, Made]) -> Non
 # -- info ------------------------------------------------------------------------------------------
 
 
-def test_info_tells_what_is_inside(run: Go, walked: Made) -> None:
+def test_info_tells_what_is_inside(run: Go, walked: RecordedRun) -> None:
     """Run, cycles, falls, distance, provenance, and a line a module."""
     text = run("bag", "info", walked.bag)
     lines = dict(re.split(r"\s{2,}", line.strip(), maxsplit=1) for line in text.splitlines()[:13])
@@ -325,7 +327,7 @@ def test_info_tells_what_is_inside(run: Go, walked: Made) -> None:
     assert modules == [["2", module] for module in (*LEGS, BODY)]
 
 
-def test_info_tells_of_every_cycle_when_asked(run: Go, walked: Made) -> None:
+def test_info_tells_of_every_cycle_when_asked(run: Go, walked: RecordedRun) -> None:
     """A line a cycle and module, with the very numbers."""
     text = run("bag", "info", walked.bag, "--cycles")
     lines = [line.split() for line in text.splitlines()[-CYCLES * 5 :]]
@@ -342,7 +344,7 @@ def test_info_tells_of_every_cycle_when_asked(run: Go, walked: Made) -> None:
         assert line[6:] == ([f"{row.distance_m:.3f}", str(row.falls)] if row.module == BODY else [])
 
 
-def test_info_for_programs(run: Go, walked: Made) -> None:
+def test_info_for_programs(run: Go, walked: RecordedRun) -> None:
     """JSON of all that is found, cycles and all, and nothing else on the output."""
     found = json.loads(run("bag", "info", walked.bag, "--json"))
     rows = [Row(**row) for row in found.pop("rows")]
@@ -352,7 +354,7 @@ def test_info_for_programs(run: Go, walked: Made) -> None:
     assert [repr(row) for row in rows] == [repr(row) for row in expected_rows]
 
 
-def test_info_tells_what_is_missing(run: Go, walked: Made) -> None:
+def test_info_tells_what_is_missing(run: Go, walked: RecordedRun) -> None:
     """Gaps, senses and commands that are not there; that is no mistake and no damage."""
     gap = without(since=10, until=13)
     absent = without("/front_left/command", since=50, until=52)
@@ -386,7 +388,7 @@ def test_info_of_a_bag_of_others(run: Go, others: Path) -> None:
     assert "card" not in json.loads(run("bag", "info", others, "--json"))
 
 
-def test_info_of_one_of_two_robots(run: Go, two: dict[str, Made]) -> None:
+def test_info_of_one_of_two_robots(run: Go, two: dict[str, RecordedRun]) -> None:
     """The one that is asked for."""
     for name, made in two.items():
         found = json.loads(run("bag", "info", made.bag, "--json", "--namespace", name))
@@ -395,7 +397,7 @@ def test_info_of_one_of_two_robots(run: Go, two: dict[str, Made]) -> None:
 
 
 @pytest.mark.parametrize("name", ["run[bold]x", "run[/x]", "run[link=a]"])
-def test_a_folder_may_have_any_name(run: Go, walked: Made, name: str) -> None:
+def test_a_folder_may_have_any_name(run: Go, walked: RecordedRun, name: str) -> None:
     """What looks like markup is a name: it is printed as it is."""
     shutil.copytree(walked.bag, name)
     assert name in run("bag", "info", name)
@@ -405,7 +407,7 @@ def test_a_folder_may_have_any_name(run: Go, walked: Made, name: str) -> None:
 # -- csv -------------------------------------------------------------------------------------------
 
 
-def test_csv_writes_two_files(run: Go, walked: Made) -> None:
+def test_csv_writes_two_files(run: Go, walked: RecordedRun) -> None:
     """Where it says, a line a tick and leg and a line a cycle and module; never over others."""
     text = words_of(run("bag", "csv", walked.bag))
     assert text == "In out/csv: cycles.csv, ticks.csv"
@@ -429,7 +431,7 @@ def test_csv_writes_two_files(run: Go, walked: Made) -> None:
     assert Path("elsewhere/ticks.csv").read_bytes() == before
 
 
-def test_csv_of_one_of_two_robots(run: Go, two: dict[str, Made]) -> None:
+def test_csv_of_one_of_two_robots(run: Go, two: dict[str, RecordedRun]) -> None:
     """The one that is asked for: two robots of two seeds did different things."""
     for name, made in two.items():
         run("bag", "csv", made.bag, "--out", name, "--namespace", name)
@@ -496,7 +498,7 @@ def test_repair_of_nothing_is_a_mistake(run: Go, content: bytes | None) -> None:
 # -- replay ----------------------------------------------------------------------------------------
 
 
-def test_replay_comes_out_equal(run: Go, walked: Made) -> None:
+def test_replay_comes_out_equal(run: Go, walked: RecordedRun) -> None:
     """Exit code 0, how much was held against the record, and the table, which can be kept."""
     text = words_of(run("replay", walked.bag, "--table", "again.npz"))
     assert "ticks 64 (2 cycles)" in text
@@ -533,7 +535,7 @@ def test_replay_needs_the_table_of_the_run(run: Go, lost: str) -> None:
 
 
 @pytest.mark.parametrize("tick", [0, 41, 63])
-def test_replay_names_the_first_difference(run: Go, walked: Made, tick: int) -> None:
+def test_replay_names_the_first_difference(run: Go, walked: RecordedRun, tick: int) -> None:
     """One bit of one command: exit code 1, and tick, leg, field and both values."""
     bag = rewritten(walked, Path("bag"), slower("front_right", tick))
     text = words_of(run("replay", bag, code=1))
@@ -550,7 +552,7 @@ def test_replay_finds_senses_that_were_changed(run: Go, damaged: Path) -> None:
 
 @pytest.mark.parametrize("tick", [20, 50])
 def test_replay_says_what_differs_beside_the_first(
-    run: Go, walked: Made, damaged: Path, tick: int
+    run: Go, walked: RecordedRun, damaged: Path, tick: int
 ) -> None:
     """A command before or after the changed senses: the verdict has both."""
     command = slower("front_left", tick)
@@ -561,7 +563,7 @@ def test_replay_says_what_differs_beside_the_first(
     assert "different: senses, commands" in words_of(run("replay", "both", code=1))
 
 
-def test_replay_of_a_run_that_is_not_all_there(run: Go, walked: Made) -> None:
+def test_replay_of_a_run_that_is_not_all_there(run: Go, walked: RecordedRun) -> None:
     """It ends where the record does, says why, and is not called equal."""
     text = words_of(
         run("replay", rewritten(walked, Path("gap"), without(since=40, until=41)), code=1)
@@ -574,7 +576,7 @@ def test_replay_of_a_run_that_is_not_all_there(run: Go, walked: Made) -> None:
     assert "the senses of rear_left at tick 9 are not in the bag" in text
 
 
-def test_replay_says_what_it_could_not_compare(run: Go, walked: Made) -> None:
+def test_replay_says_what_it_could_not_compare(run: Go, walked: RecordedRun) -> None:
     """A command that nobody recorded is counted; all else came out equal."""
     bag = rewritten(walked, Path("bag"), without("/rear_left/command", since=30, until=33))
     text = words_of(run("replay", bag))
@@ -583,7 +585,7 @@ def test_replay_says_what_it_could_not_compare(run: Go, walked: Made) -> None:
     assert "Equal, bit for bit." in text
 
 
-def test_replay_holds_the_table_at_the_end_against_the_record(run: Go, walked: Made) -> None:
+def test_replay_holds_the_table_at_the_end_against_the_record(run: Go, walked: RecordedRun) -> None:
     """Another SHA-256 in the metadata: exit code 1; none at all: equal, and it is said."""
     bag = shutil.copytree(walked.bag, "bag")
     seal(Path(bag), table_sha256="f00d" * 16)
@@ -605,7 +607,7 @@ def test_replay_of_a_bag_of_others_is_a_mistake(run: Go, others: Path) -> None:
         assert each in said
 
 
-def test_replay_of_one_of_two_robots(run: Go, two: dict[str, Made]) -> None:
+def test_replay_of_one_of_two_robots(run: Go, two: dict[str, RecordedRun]) -> None:
     """Each with the seed that it had."""
     for name, made in two.items():
         text = words_of(run("replay", made.bag, "--namespace", name))
@@ -615,7 +617,7 @@ def test_replay_of_one_of_two_robots(run: Go, two: dict[str, Made]) -> None:
 
 @pytest.mark.ros
 def test_replay_on_the_graph(
-    walked: Made,
+    walked: RecordedRun,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """Real leg nodes, table node and CPG node: the same bits, the same words."""
@@ -628,7 +630,7 @@ def test_replay_on_the_graph(
 
 
 @pytest.mark.parametrize("words", [("--on", "moon"), ("--rate", -1), ("--rate", "nan")])
-def test_a_bad_option_of_replay_is_said(run: Go, walked: Made, words: Sequence[Any]) -> None:
+def test_a_bad_option_of_replay_is_said(run: Go, walked: RecordedRun, words: Sequence[Any]) -> None:
     """Exit code 2 and its value."""
     text = run("replay", walked.bag, *words, code=2)
     assert str(words[1]) in text
@@ -649,7 +651,7 @@ def relearnt(out: Path) -> tuple[dict[str, Any], Params]:
     return told, params
 
 
-def test_relearn_with_the_same_numbers_learns_the_same(run: Go, walked: Made) -> None:
+def test_relearn_with_the_same_numbers_learns_the_same(run: Go, walked: RecordedRun) -> None:
     """The table of the run itself, and all that is told of it."""
     text = words_of(run("relearn", walked.bag))
     told, params = relearnt(Path("out/relearn"))
@@ -685,7 +687,7 @@ def test_relearn_with_the_same_numbers_learns_the_same(run: Go, walked: Made) ->
     ids=lambda value: " ".join(map(str, value)) if isinstance(value, tuple) else "",
 )
 def test_numbers_that_are_given_are_those_that_are_learnt_with(
-    run: Go, walked: Made, words: Sequence[Any], changes: dict[str, Any]
+    run: Go, walked: RecordedRun, words: Sequence[Any], changes: dict[str, Any]
 ) -> None:
     """They stand in params.yaml and in the table's provenance, and no other number is changed."""
     run("relearn", walked.bag / "walk_0.mcap", *words, "--out", "o")
@@ -696,7 +698,7 @@ def test_numbers_that_are_given_are_those_that_are_learnt_with(
     assert told["ticks"] == 64
 
 
-def test_the_stage_decides_which_numbers_hold(run: Go, walked: Made) -> None:
+def test_the_stage_decides_which_numbers_hold(run: Go, walked: RecordedRun) -> None:
     """Those of training differ from those of walking, and so does what is learnt."""
     other = replace(PARAMS, {"train.gamma": 0.5})
     Path("p.yaml").write_text(dump_params(other))
@@ -707,7 +709,7 @@ def test_the_stage_decides_which_numbers_hold(run: Go, walked: Made) -> None:
     assert walk["table_sha256"] == walked.table != train["table_sha256"]
 
 
-def test_relearn_goes_on_from_a_table_and_over_many_bags(run: Go, walked: Made) -> None:
+def test_relearn_goes_on_from_a_table_and_over_many_bags(run: Go, walked: RecordedRun) -> None:
     """Two passes are a pass from the table of the first; bags come one after the other."""
     run("relearn", walked.bag, "--out", "one")
     run("relearn", walked.bag, "--table", f"one/{TABLE}", "--out", "two")
@@ -721,7 +723,7 @@ def test_relearn_goes_on_from_a_table_and_over_many_bags(run: Go, walked: Made) 
     assert bags["bags"] == [str(walked.bag)] * 2
 
 
-def test_relearn_does_not_replace_unasked(run: Go, walked: Made) -> None:
+def test_relearn_does_not_replace_unasked(run: Go, walked: RecordedRun) -> None:
     """What an earlier one left stays, unless --force is given."""
     run("relearn", walked.bag, "--out", "o")
     before = {file.name: file.read_bytes() for file in Path("o").iterdir()}
@@ -737,7 +739,7 @@ def test_relearn_does_not_replace_unasked(run: Go, walked: Made) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("changes", "reason"),
     [
         ({"gait.period": 1.0}, "gait.period"),
         ({"gait.hip_front": 0.6}, "gait.hip_front"),
@@ -745,17 +747,17 @@ def test_relearn_does_not_replace_unasked(run: Go, walked: Made) -> None:
     ],
 )
 def test_what_was_done_cannot_be_changed(
-    run: Go, walked: Made, changes: dict[str, Any], says: str
+    run: Go, walked: RecordedRun, changes: dict[str, Any], reason: str
 ) -> None:
     """Gait and leg are those of the record; what may be changed is said."""
     Path("mine.yaml").write_text(dump_params(replace(PARAMS, changes)))
     said = mistake(run, "relearn", walked.bag, "--params", "mine.yaml", "--out", "o")
-    for each in (str(walked.bag), says, "reward.*, state.*, train.* and walk.*"):
+    for each in (str(walked.bag), reason, "reward.*, state.*, train.* and walk.*"):
         assert each in said
     assert not Path("o").exists()
 
 
-def test_all_numbers_can_be_given_in_a_file(run: Go, walked: Made) -> None:
+def test_all_numbers_can_be_given_in_a_file(run: Go, walked: RecordedRun) -> None:
     """Options are on top of it."""
     Path("mine.yaml").write_text(
         dump_params(replace(PARAMS, {"reward.slip": 3, "walk.gamma": 0.3}))
@@ -767,7 +769,7 @@ def test_all_numbers_can_be_given_in_a_file(run: Go, walked: Made) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "reason"),
     [
         (("--gamma", 1.5), "walk.gamma = 1.5 is out of range"),
         (("--bins", 0), "state.hip_bins = 0 is out of range"),
@@ -778,16 +780,16 @@ def test_all_numbers_can_be_given_in_a_file(run: Go, walked: Made) -> None:
     ],
 )
 def test_a_bad_number_is_said_in_one_line(
-    run: Go, walked: Made, words: Sequence[Any], says: str
+    run: Go, walked: RecordedRun, words: Sequence[Any], reason: str
 ) -> None:
     """Its name, its value, what would be right; nothing is half made."""
-    assert says in mistake(run, "relearn", walked.bag, *words, "--out", "o")
+    assert reason in mistake(run, "relearn", walked.bag, *words, "--out", "o")
     assert not Path("o").exists()
 
 
 @pytest.mark.parametrize("words", [("--bins", 5), ("--bins", 2)])
 def test_a_table_of_other_cells_cannot_be_gone_on_from(
-    run: Go, walked: Made, words: Sequence[Any]
+    run: Go, walked: RecordedRun, words: Sequence[Any]
 ) -> None:
     """A start table whose cells mean something else than is asked for is refused."""
     run("relearn", walked.bag, "--out", "one")
@@ -800,7 +802,9 @@ def test_a_table_of_other_cells_cannot_be_gone_on_from(
     "words",
     [("--state.force_edges", "a,b"), ("--bins", "many"), ("--stage", "run"), ("--passes", 0)],
 )
-def test_a_bad_option_of_relearn_is_said(run: Go, walked: Made, words: Sequence[Any]) -> None:
+def test_a_bad_option_of_relearn_is_said(
+    run: Go, walked: RecordedRun, words: Sequence[Any]
+) -> None:
     """Exit code 2, the option and its value."""
     text = run("relearn", walked.bag, *words, code=2)
     assert words[0] in text
@@ -809,7 +813,7 @@ def test_a_bad_option_of_relearn_is_said(run: Go, walked: Made, words: Sequence[
     assert run("relearn", code=2).count("BAGS") >= 1
 
 
-def test_relearn_from_a_bag_of_others(run: Go, walked: Made, others: Path) -> None:
+def test_relearn_from_a_bag_of_others(run: Go, walked: RecordedRun, others: Path) -> None:
     """Numbers are the defaults, or those that are given: then the table of the run comes out."""
     Path("mine.yaml").write_text(dump_params(PARAMS))
     run("relearn", others, "--params", "mine.yaml", "--out", "o")
@@ -826,7 +830,7 @@ def test_relearn_from_a_damaged_bag_says_so(run: Go, damaged: Path) -> None:
     assert "tick 40, rear_left" in text
 
 
-def test_relearn_from_one_of_two_robots(run: Go, two: dict[str, Made]) -> None:
+def test_relearn_from_one_of_two_robots(run: Go, two: dict[str, RecordedRun]) -> None:
     """From what that one did."""
     made = two["robot_2"]
     run("relearn", made.bag, "--namespace", "robot_2", "--out", "o")
@@ -870,7 +874,7 @@ def test_a_run_of_no_cycles_has_a_bag(run: Go) -> None:
 
 @pytest.mark.parametrize("verb", ["train", "walk"])
 @pytest.mark.parametrize("there", ["a folder", "a file", "a bag"])
-def test_a_bag_is_never_written_over(run: Go, walked: Made, verb: str, there: str) -> None:
+def test_a_bag_is_never_written_over(run: Go, walked: RecordedRun, verb: str, there: str) -> None:
     """An existing folder is refused before anything else is touched, --force or not."""
     bag = Path("bag")
     if there == "a folder":

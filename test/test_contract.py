@@ -309,16 +309,16 @@ def test_a_robot_runs_in_a_world_of_one_s_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("world", "says"),
+    ("world", "reason"),
     [
         ("moon", "no world 'moon'; it is trainer or walker, or the dotted path of a class"),
         ("moon.World", "world = 'moon.World': there is no module 'moon' to be imported here"),
         (OWN("Nothing"), "world = .* cannot be used: .*no attribute 'Nothing'"),
     ],
 )
-def test_a_world_that_is_not_is_told(world: str, says: str) -> None:
+def test_a_world_that_is_not_is_told(world: str, reason: str) -> None:
     """Before anything is built, by plans too."""
-    with pytest.raises(ParameterError, match=says):
+    with pytest.raises(ParameterError, match=reason):
         spec_of(world)
-    with pytest.raises(ParameterError, match=says):
+    with pytest.raises(ParameterError, match=reason):
         RunConfig(world, 1)

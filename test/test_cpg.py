@@ -16,7 +16,7 @@ from ember_ros.phase import PhaseRate
 from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, LegSense
 from sim_node.fake import FakeWorld
-from support.runs import Heard
+from support.runs import SignalLog
 
 PARAMS = Params()
 
@@ -29,11 +29,11 @@ class Listed:
     def __init__(self, phases: Iterable[float]) -> None:
         """Take the phases of the ticks from 0 on."""
         self._phases = list(phases)
-        self.heard: list[int] = []
+        self.received: list[int] = []
 
     def step(self, tick: int, feedback: Sequence[LegSense]) -> float:
         """Return the phase of a tick."""
-        self.heard.append(len(feedback))
+        self.received.append(len(feedback))
         return self._phases[tick]
 
 
@@ -135,30 +135,33 @@ def test_time_may_begin_anew() -> None:
         beats.at(0)
 
 
-@pytest.mark.parametrize(("kind", "heard"), [(Listed, [0, 0]), (Listening, [1, 1])])
-def test_only_who_asks_hears_the_legs(kind: type[Listed], heard: list[int]) -> None:
+@pytest.mark.parametrize(("kind", "received"), [(Listed, [0, 0]), (Listening, [1, 1])])
+def test_only_who_asks_hears_the_legs(kind: type[Listed], received: list[int]) -> None:
     """Without ``hears_legs`` an oscillator is given nothing."""
     cpg, (sense,) = kind([0.0, 0.1]), FakeWorld(("leg",)).observe()
     beats = Beats(cpg)
     assert beats.hears_legs is kind.hears_legs
     for tick in range(2):
         beats.at(tick, [sense])
-    assert cpg.heard == heard
+    assert cpg.received == received
 
 
 def test_an_oscillator_that_hears_the_legs_walks_a_robot() -> None:
     """Named by its path: the beats that legs, world and observers hear are its own."""
     params = replace(PARAMS, {"parts.cpg": f"{__name__}.SlowsUnderLoad"})
-    loop, heard = Loop(RunConfig("walker", 4, params=params, policy="random"), FakeWorld()), Heard()
+    loop, received = (
+        Loop(RunConfig("walker", 4, params=params, policy="random"), FakeWorld()),
+        SignalLog(),
+    )
     for _ in range(4 * 32):
-        loop.tick(heard)
+        loop.tick(received)
     held = [
         tick
-        for tick, senses in enumerate(heard.senses)
+        for tick, senses in enumerate(received.senses)
         if tick and max(sense.force_mean for sense in senses) >= 2.0 * params.leg.load
     ]
     assert held
-    ways = [b.phase - a.phase for a, b in zip(heard.phases, heard.phases[1:], strict=False)]
+    ways = [b.phase - a.phase for a, b in zip(received.phases, received.phases[1:], strict=False)]
     assert [tick + 1 for tick, way in enumerate(ways) if way == 0.0] == held
     assert {way for way in ways if way} == {1 / 32}
 

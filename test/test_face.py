@@ -121,10 +121,10 @@ class Listener:
     """Keeps what a loop says as it says it."""
 
     def __init__(self) -> None:
-        self.heard: list[Tick] = []
+        self.received: list[Tick] = []
 
     def tick(self, *said: Any) -> None:
-        self.heard.append(Tick(*said))
+        self.received.append(Tick(*said))
 
 
 def by_hand(config: RunConfig) -> tuple[list[Tick], RunStatistics, Table]:
@@ -135,7 +135,7 @@ def by_hand(config: RunConfig) -> tuple[list[Tick], RunStatistics, Table]:
     table = loop.finish()
     recorder.finish(loop.world.observe(), loop.world.body())
     loop.close()
-    return listener.heard, recorder, table
+    return listener.received, recorder, table
 
 
 def walked(cycles: int = 4, **options: Any) -> er.Run:
@@ -170,38 +170,44 @@ def test_arrays_say_what_the_loop_said(
     long: tuple[er.Run, list[Tick], RunStatistics, Table],
 ) -> None:
     """Every number of every tick, by the tick that it is about."""
-    done, heard, recorder, _ = long
+    done, received, recorder, _ = long
     for name in er.LegSense._fields[1:]:
-        said = [[getattr(sense, name) for sense in tick.senses] for tick in heard]
+        said = [[getattr(sense, name) for sense in tick.senses] for tick in received]
         assert np.array_equal(getattr(done.senses, name), said), name
     for name in er.LegCommand._fields[1:]:
-        said = [[getattr(command, name) for command in tick.commands] for tick in heard]
+        said = [[getattr(command, name) for command in tick.commands] for tick in received]
         assert np.array_equal(getattr(done.commands, name), said), name
-    assert done.states.tolist() == [[did.next_state for did in t.transitions] for t in heard]
-    assert done.stances.tolist() == [[did.next_stance for did in t.transitions] for t in heard]
+    assert done.states.tolist() == [
+        [transition.next_state for transition in t.transitions] for t in received
+    ]
+    assert done.stances.tolist() == [
+        [transition.next_stance for transition in t.transitions] for t in received
+    ]
     speeds = np.array(done.params.leg.knee_speeds)
     assert np.array_equal(speeds[done.actions], done.commands.knee_speed)
-    assert done.phases.tolist() == [tick.beat.phase for tick in heard]
-    assert done.body.height.tolist() == [tick.body.height for tick in heard]
-    assert done.body.falls.tolist() == [tick.body.falls for tick in heard]
+    assert done.phases.tolist() == [tick.beat.phase for tick in received]
+    assert done.body.height.tolist() == [tick.body.height for tick in received]
+    assert done.body.falls.tolist() == [tick.body.falls for tick in received]
     pose = done.body
     pose_columns = (pose.x, pose.y, pose.roll, pose.pitch, pose.yaw)
     assert [number for row in np.stack(pose_columns, 1).tolist() for number in row] == list(
         recorder.traces
     )
     # What a transition says is about the tick before.
-    for tick, (_, _, _, _, transitions) in enumerate(heard[1:]):
-        for leg, did in enumerate(transitions):
-            assert done.credited[tick, leg] == did.credited
-            assert done.reward[tick, leg] == did.reward
-            assert done.td_errors[tick, leg] == did.td_error
-            assert {n: each[tick, leg] for n, each in done.rewards.items()} == dict(did.terms)
-            if did.credited:
-                assert done.actions[tick, leg] == did.action
-                assert done.states[tick, leg] == did.state
-                assert done.stances[tick, leg] == did.stance
+    for tick, (_, _, _, _, transitions) in enumerate(received[1:]):
+        for leg, transition in enumerate(transitions):
+            assert done.credited[tick, leg] == transition.credited
+            assert done.reward[tick, leg] == transition.reward
+            assert done.td_errors[tick, leg] == transition.td_error
+            assert {n: each[tick, leg] for n, each in done.rewards.items()} == dict(
+                transition.terms
+            )
+            if transition.credited:
+                assert done.actions[tick, leg] == transition.action
+                assert done.states[tick, leg] == transition.state
+                assert done.stances[tick, leg] == transition.stance
     uncredited = np.flatnonzero(~done.credited.any(axis=1)).tolist()
-    assert uncredited == [FALL - 1, len(heard) - 1]
+    assert uncredited == [FALL - 1, len(received) - 1]
     assert np.flatnonzero(done.senses.first_tick.any(axis=1)).tolist() == [FALL]
     assert not done.reward[~done.credited].any()
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from ember_ros.params import Params, replace
 from ember_ros.signals import Beat, LegSense
 from leg_node.gait import GaitStep, HipRamp
-from support.gaits import PlainGait
+from support.gaits import ReferenceGait
 from support.legs import LEGS, beat
 
 PARAMS = Params()
@@ -61,7 +61,7 @@ def test_ramp_is_straight() -> None:
 @pytest.mark.parametrize("leg", LEGS)
 def test_the_ramp_is_the_list_of_a_cycle_s_ticks(leg: str) -> None:
     """At a fixed period, to the bit what the gait is when it is written down tick by tick."""
-    plain = PlainGait(PARAMS, leg)
+    plain = ReferenceGait(PARAMS, leg)
     for tick, step in enumerate(steps(OFFSETS[LEGS.index(leg)], ticks=range(200))):
         assert step.stance is plain.stance(tick)
         assert step.hip_goal == plain.hip_goal(tick)
@@ -127,7 +127,7 @@ def at_rate(rate: float, ticks: int, offset: float = 0.0, begin: float = 0.0) ->
 @pytest.mark.parametrize("rate", [0.25, 0.5, 2.0])
 def test_the_gait_follows_the_phase_not_the_clock(rate: float) -> None:
     """At another rate stance keeps its share of the phase, and the hip is where the phase goes."""
-    plain = PlainGait(PARAMS)
+    plain = ReferenceGait(PARAMS)
     found = at_rate(rate, 160)
     for tick, step in enumerate(found):
         assert step.stance is plain.stance(int(rate * tick))
@@ -155,7 +155,7 @@ def test_a_phase_that_stands_still_holds_the_hip() -> None:
         for tick in range(2, 6):
             step = ramp.step(Beat(tick, slot / 32), SENSE)
             assert step.stance is stance
-            assert step.hip_goal == PlainGait(PARAMS).hip_goal(slot - 1)
+            assert step.hip_goal == ReferenceGait(PARAMS).hip_goal(slot - 1)
             assert step.ticks_to_stance == (0.0 if stance else math.inf)
 
 
@@ -164,14 +164,14 @@ def test_a_phase_that_stood_still_goes_on() -> None:
     ramp = HipRamp(PARAMS, 0.0)
     slots = [4, 5, 6, 6, 6, 7, 8, 9]
     goals = [ramp.step(Beat(tick, slot / 32), SENSE).hip_goal for tick, slot in enumerate(slots)]
-    plain = PlainGait(PARAMS)
+    plain = ReferenceGait(PARAMS)
     assert goals == [plain.hip_goal(end - 1) for end in (5, 6, 7, 6, 6, 8, 9, 10)]
 
 
 def test_missed_ticks_do_not_hurry_the_hip() -> None:
     """A leg that was away is told of a phase that jumped, and goes on at its rate a tick."""
     found = steps(ticks=[0, 1, 9, 10])
-    plain = PlainGait(PARAMS)
+    plain = ReferenceGait(PARAMS)
     assert [step.hip_goal for step in found] == [plain.hip_goal(tick) for tick in (0, 1, 9, 10)]
 
 

@@ -29,7 +29,7 @@ from leg_node.shared import LocalCopy, SharedTable, UpdateBatch
 from leg_node.table_file import save_table
 from support.configs import changed
 from support.legs import LEGS
-from support.robot import LEG_NODES, PATIENCE_S, Robot, level, spun
+from support.robot import LEG_NODES, PATIENCE_S, Robot, level, run_to_end
 from support.ros import Ros
 from support.runs import Bits
 from support.waiting import in_time
@@ -81,7 +81,7 @@ SLOW = {
 @pytest.mark.parametrize(
     "changes",
     [
-        {"parts__cpg": "support.oscillators.Hurrying"},
+        {"parts__cpg": "support.oscillators.ContactDrivenCpg"},
         {f"robot__{n}": v for n, v in vars(load_params("hexapod").robot).items()},
     ],
     ids=["an oscillator that hears the legs", "six legs"],
@@ -95,7 +95,7 @@ def test_a_robot_of_other_parts_ends_with_the_bits_of_the_loop(
     """Which legs there are and what the phase hangs on is data: loop and graph still agree."""
     config = RunConfig("walker", 4, seed=3, params=changed(Params(), **changes))
     with closing(Graph(config, patience=PATIENCE_S, context=ros.context)) as graph:
-        spun(graph)
+        run_to_end(graph)
         assert by_graph(graph) == by_loop(config) != by_loop(dataclasses.replace(config, seed=4))
         assert by_loop(config) != by_loop(RunConfig("walker", 4, seed=3))
         assert not any(refusals(graph.nodes).values())
@@ -116,7 +116,7 @@ def test_the_graph_ends_with_the_bits_of_the_loop(
 ) -> None:
     """Table, senses and commands are equal, bit for bit, and nothing healthy is refused."""
     with closing(Graph(config, patience=PATIENCE_S, context=ros.context)) as graph:
-        spun(graph)
+        run_to_end(graph)
         assert by_graph(graph) == by_loop(config)
         assert not any(refusals(graph.nodes).values())
         assert len(graph.sim.recorder.body_rows()) == config.cycles
@@ -132,12 +132,12 @@ def test_a_graph_runs_twice_the_same_way_and_from_a_table(
     """Two graphs, one after the other, end alike, also when they begin with what was learnt."""
     file = tmp_path / "table.npz"
     with closing(Graph(PLANS["walker"], patience=PATIENCE_S, context=ros.context)) as first:
-        save_table(file, spun(first).nodes["table_node"].shared.table, Params(), 3)
+        save_table(file, run_to_end(first).nodes["table_node"].shared.table, Params(), 3)
     config = walk(table=file)
     ends = []
     for _ in range(2):
         with closing(Graph(config, patience=PATIENCE_S, context=ros.context)) as graph:
-            ends.append(by_graph(spun(graph)))
+            ends.append(by_graph(run_to_end(graph)))
     assert ends[0] == ends[1] == by_loop(config)
     assert ends[0] != by_loop(PLANS["walker"])
 
@@ -172,7 +172,7 @@ def test_who_looks_on_changes_nothing(
 ) -> None:
     """With every topic heard, odometry included, the bits are the same, and all topics speak."""
     with closing(Graph(walk(), patience=PATIENCE_S, context=ros.context)) as graph:
-        heard = {
+        received = {
             topic.name: ros.messages(topic)
             for topic in (
                 topics.CLOCK,
@@ -187,17 +187,19 @@ def test_who_looks_on_changes_nothing(
         ros.spin_until(lambda: graph.sim.done, "the last tick", graph.spin_once)
         graph.finish()
         assert by_graph(graph) == by_loop(walk())
-        ros.spin_until(lambda: len(heard["rear_right/command"]) == CYCLES * TICKS, "all is heard")
-        clock = [message.clock for message in heard["clock"]]
+        ros.spin_until(
+            lambda: len(received["rear_right/command"]) == CYCLES * TICKS, "all is heard"
+        )
+        clock = [message.clock for message in received["clock"]]
         assert [c.sec * 10**9 + c.nanosec for c in clock] == [
             n * TICK_NS for n in range(CYCLES * TICKS)
         ]
-        assert [message.position.tolist() for message in heard["cpg/phase"]] == [
+        assert [message.position.tolist() for message in received["cpg/phase"]] == [
             [n / TICKS] for n in range(CYCLES * TICKS)
         ]
-        assert heard["odometry"]
-        assert {m.header.frame_id for m in heard["odometry"]} == {"odom"}
-        for message in heard["diagnostics"]:
+        assert received["odometry"]
+        assert {m.header.frame_id for m in received["odometry"]} == {"odom"}
+        for message in received["diagnostics"]:
             assert [s.name for s in message.status] == ["sim_node", *LEGS]
             assert {s.level for s in message.status} == {DiagnosticStatus.OK}
 
@@ -243,18 +245,19 @@ def test_a_fall_is_counted_told_and_credited_to_nobody(
     with closing(Graph(config, patience=PATIENCE_S, context=ros.context)) as graph:
         falls = ros.messages(topics.FALLS)
         contacts = {leg: ros.messages(topics.contact(leg)) for leg in LEGS}
-        spun(graph)
+        run_to_end(graph)
         assert by_graph(graph) == by_loop(config)
         happened = by_loop(config).falls
         ros.spin_until(
-            lambda: all(len(heard) == CYCLES * TICKS for heard in contacts.values()), "all is heard"
+            lambda: all(len(received) == CYCLES * TICKS for received in contacts.values()),
+            "all is heard",
         )
         ros.spin_until(lambda: len(falls) > happened, "all falls are heard")
         assert [message.data for message in falls] == list(range(happened + 1))
         column = wire.CONTACT.index("restart")
         restarts = {
-            leg: [n for n, message in enumerate(heard) if message.position[column]]
-            for leg, heard in contacts.items()
+            leg: [n for n, message in enumerate(received) if message.position[column]]
+            for leg, received in contacts.items()
         }
         assert len(restarts["front_left"]) == happened
         assert restarts == dict.fromkeys(LEGS, restarts["front_left"])
@@ -456,7 +459,7 @@ def test_a_malformed_push_during_a_run_changes_no_bit(
             result = ros.call(push, calls.write_push(bad[n % 2]), graph.spin_once).result
             assert not result.successful
             assert result.reason
-        assert by_graph(spun(graph)) == by_loop(BRIEF)
+        assert by_graph(run_to_end(graph)) == by_loop(BRIEF)
         counted = refusals(graph.nodes)
         assert counted == {**dict.fromkeys(counted, 0), "table_node": 4}
 
@@ -468,11 +471,11 @@ def test_a_leg_that_dies_is_absent_and_one_that_comes_back_is_present(ros: Ros) 
     """The others walk on without it, its joints held still; a new one is waited for again."""
     robot = Robot(ros, walk(), sim_node={"patience": 0.2, "cycles": 1000})
     diagnostics = ros.messages(topics.DIAGNOSTICS)
-    robot.walk_to(40)
+    robot.spin_to_tick(40)
     assert level(diagnostics[-1], "rear_left") == (DiagnosticStatus.OK, "present")
     robot.kill("leg_rear_left")
     died = robot.tick
-    robot.walk_to(died + 64)
+    robot.spin_to_tick(died + 64)
     assert level(diagnostics[-1], "rear_left") == (DiagnosticStatus.ERROR, "absent")
     assert level(diagnostics[-1], "rear_right") == (DiagnosticStatus.OK, "present")
     absent = robot.sim.recorder.summary()["absent_ticks"]
@@ -485,7 +488,7 @@ def test_a_leg_that_dies_is_absent_and_one_that_comes_back_is_present(ros: Ros) 
     )
     missed = robot.sim.recorder.summary()["absent_ticks"]["rear_left"]
     back = robot.tick
-    robot.walk_to(back + 100)
+    robot.spin_to_tick(back + 100)
     assert robot.sim.recorder.summary()["absent_ticks"]["rear_left"] <= missed + 1
 
 
@@ -496,7 +499,7 @@ def test_a_cpg_that_dies_stops_the_world_and_a_new_one_takes_it_on(
     """The world stands still and says so; the new CPG reads the phase off the clock, to the bit."""
     robot = Robot(ros, walk(), sim_node={"patience": 0.2})
     diagnostics = ros.messages(topics.DIAGNOSTICS)
-    robot.walk_to(40)
+    robot.spin_to_tick(40)
     robot.kill("cpg_node")
     ros.spin_until(
         lambda: level(diagnostics[-1], "sim_node") == (DiagnosticStatus.WARN, "no phase"),
@@ -519,7 +522,7 @@ def test_a_table_node_can_be_changed_for_another_that_has_its_file(
     file = str(tmp_path / "table.npz")
     robot = Robot(ros, walk(), table_node={"save": file})
     for tick in (3 * 32 + 10, 9 * 32 + 10):
-        robot.walk_to(tick)
+        robot.spin_to_tick(tick)
         robot.nodes["table_node"].finish(ros.spin_once)
         robot.kill("table_node")
         robot.start("table_node", table=file, save=file)
@@ -532,9 +535,9 @@ def test_a_table_node_can_be_changed_for_another_that_has_its_file(
 def test_legs_go_on_without_the_table_and_give_a_new_one_what_they_kept(ros: Ros) -> None:
     """Nothing that was learnt is lost or doubled between the table that died and the new one."""
     robot = Robot(ros, walk(), sim_node={"cycles": 2 * CYCLES, "patience": 5.0})
-    robot.walk_to(200)
+    robot.spin_to_tick(200)
     old = robot.kill("table_node")
-    robot.walk_to(400)
+    robot.spin_to_tick(400)
     new = robot.start("table_node")
     robot.run()
     old.shared.merge()
@@ -550,9 +553,9 @@ def test_what_legs_kept_is_handed_in_at_the_end_too(ros: Ros) -> None:
     # Longer than legs take to end.
     patient: dict[str, Any] = {name: {"table_patience": 1.5} for name in LEG_NODES}
     robot = Robot(ros, walk(), sim_node={"cycles": 10**6, "patience": 5.0}, **patient)
-    robot.walk_to(200)
+    robot.spin_to_tick(200)
     robot.kill("table_node")
-    robot.walk_to(400)
+    robot.spin_to_tick(400)
     robot.start("table_node")
     ros.client(topics.PUSH)
     robot.sim.finish(ros.spin_once)
@@ -573,10 +576,10 @@ def test_frozen_legs_come_back_to_a_table_that_comes_back(ros: Ros, tmp_path: Pa
         sim_node={"cycles": 10**6, "patience": 5.0},
         table_node={"save": file},
     )
-    robot.walk_to(100)
+    robot.spin_to_tick(100)
     robot.nodes["table_node"].finish(ros.spin_once)
     robot.kill("table_node")
-    robot.walk_to(200)
+    robot.spin_to_tick(200)
     shared = robot.start("table_node", table=file).shared
     push = ros.client(topics.PUSH)
     taught = UpdateBatch(0, "a teacher", 0, cells_sha256(Params()), (TDUpdate(3, 7, 0.25),))
@@ -594,7 +597,7 @@ def test_a_new_world_begins_time_anew_and_legs_go_on(ros: Ros) -> None:
     """
     robot = Robot(ros, walk(), sim_node={"cycles": 1000})
     commands = {leg: ros.messages(topics.command(leg), raw=True) for leg in LEGS}
-    robot.walk_to(100)
+    robot.spin_to_tick(100)
     falls = robot.kill("sim_node").recorder.summary()["falls"]
     acted = {leg: [wire.CommandWire(leg, TICK_NS).read(d).tick for d in commands[leg]]
              for leg in LEGS}  # fmt: skip
@@ -602,7 +605,7 @@ def test_a_new_world_begins_time_anew_and_legs_go_on(ros: Ros) -> None:
         assert acted[leg] == list(range(len(acted[leg])))
         commands[leg].clear()
     robot.start("sim_node", cycles=CYCLES)
-    robot.walk_to(5)
+    robot.spin_to_tick(5)
     robot.run()
     assert len(robot.sim.recorder.body_rows()) == CYCLES
     assert not any(robot.sim.recorder.summary()["absent_ticks"].values())
@@ -648,13 +651,13 @@ def test_a_leg_in_a_new_life_lays_no_pair_twice() -> None:
 def test_learning_is_switched_off_for_the_whole_robot(ros: Ros) -> None:
     """While it is off the shared table stays as it is, though the legs walk and push."""
     robot = Robot(ros, walk(), sim_node={"cycles": 1000})
-    robot.walk_to(100)
+    robot.spin_to_tick(100)
     answer = ros.call(ros.client(topics.LEARNING), SetBool.Request(data=False))
     assert answer.success
     shared = robot.nodes["table_node"].shared
-    robot.walk_to(robot.tick + 64)
+    robot.spin_to_tick(robot.tick + 64)
     before = shared.table.sha256()
-    robot.walk_to(robot.tick + 128)
+    robot.spin_to_tick(robot.tick + 128)
     assert shared.table.sha256() == before
     assert not any(refusals(robot.nodes).values())
 
@@ -665,10 +668,10 @@ def test_in_real_time_nobody_is_waited_for(ros: Ros) -> None:
     began = time.monotonic()
     robot = Robot(ros, config, sim_node={"mode": "realtime", "cycles": 1000, "patience": 1000.0})
     diagnostics = ros.messages(topics.DIAGNOSTICS)
-    robot.walk_to(20)
+    robot.spin_to_tick(20)
     robot.kill("leg_front_right")
     died = robot.tick
-    robot.walk_to(died + 64)
+    robot.spin_to_tick(died + 64)
     elapsed = time.monotonic() - began
     assert robot.tick <= elapsed / config.params.gait.tick_s + 1
     ros.spin_until(
@@ -695,7 +698,7 @@ def test_in_real_time_lateness_is_counted_and_told_now_and_then(
 
     config = dataclasses.replace(walk(), params=changed(Params(), gait__period=1.0))
     robot = Robot(ros, config, sim_node={"mode": "realtime", "cycles": 1000})
-    robot.walk_to(5)
+    robot.spin_to_tick(5)
     robot.kill("leg_front_right")
     ros.spin_until(lambda: len(told("command was late: ")) > 1, "who is late is told")
     robot.start("leg_front_right")
@@ -710,7 +713,7 @@ def test_a_walk_says_that_it_begins_and_what_came_of_it(
 ) -> None:
     """Success is not silent: one line each, with the world, the legs, the mode and the cycles."""
     with closing(Graph(BRIEF, patience=PATIENCE_S, context=ros.context)) as graph:
-        spun(graph)
+        run_to_end(graph)
         falls = graph.sim.world.body().falls
     lines = capfd.readouterr().err.splitlines()
     (began,) = (line for line in lines if "walker starts" in line)
@@ -725,7 +728,7 @@ def test_in_real_time_the_world_stands_still_without_a_phase_and_goes_on_with_on
     """The phase is what time is for the legs: without it nothing is stepped, in any mode."""
     config = dataclasses.replace(walk(), params=changed(Params(), gait__period=0.1))
     robot = Robot(ros, config, sim_node={"mode": "realtime", "cycles": 1000})
-    robot.walk_to(20)
+    robot.spin_to_tick(20)
     robot.kill("cpg_node")
     ticks = itertools.count()
     stopped = -1
@@ -737,4 +740,4 @@ def test_in_real_time_the_world_stands_still_without_a_phase_and_goes_on_with_on
 
     ros.spin_until(stands, "the world stands still")
     robot.start("cpg_node")
-    robot.walk_to(stopped + 40)
+    robot.spin_to_tick(stopped + 40)

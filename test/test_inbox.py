@@ -61,12 +61,14 @@ def test_a_tick_s_sources_come_in_any_order(data: st.DataObject) -> None:
 
 
 @few
-@given(heard=st.lists(st.tuples(st.sampled_from(SOURCES), st.integers(-2, 10) | st.just(10**12))))
-def test_nothing_of_another_tick_is_ever_used(heard: list[tuple[str, int]]) -> None:
+@given(
+    received=st.lists(st.tuples(st.sampled_from(SOURCES), st.integers(-2, 10) | st.just(10**12)))
+)
+def test_nothing_of_another_tick_is_ever_used(received: list[tuple[str, int]]) -> None:
     """Whatever is heard, lost or repeated: a tick taken is of one tick, and ticks only go on."""
     inbox = Inbox(*SOURCES)
     taken = []
-    for source, tick in heard:
+    for source, tick in received:
         inbox.put(source, tick, value(source, tick))
         values = inbox.pop(tick)
         if values is not None:

@@ -80,12 +80,12 @@ def test_the_campaign_sees_what_goes_wrong(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(mutate, "LIMIT_MB", 30.0)
     before = signal.signal(signal.SIGPROF, mutate._too_slow)
     try:
-        for name, (read, says) in bad.items():
+        for name, (read, reason) in bad.items():
             reader = mutate.Reader("file", lambda *_: None, read)
             monkeypatch.setitem(mutate.READERS, name, reader)
             (tmp_path / name).mkdir()
             outcome, _, said = mutate.one(name, 0, source.parent, tmp_path / name)
-            assert (outcome, says in said) == ("failed", True), said
+            assert (outcome, reason in said) == ("failed", True), said
     finally:
         signal.signal(signal.SIGPROF, before)
 
@@ -160,11 +160,11 @@ PLACES: dict[str, tuple[Callable[[Path], object], str]] = {
 @pytest.mark.parametrize("name", PLACES)
 def test_what_is_no_file_of_the_folder_is_refused(bag: Path, name: str) -> None:
     """Nothing is opened that may never end, or that is somebody else's."""
-    make, says = PLACES[name]
+    make, reason = PLACES[name]
     file = file_of(bag)
     file.unlink()
     make(file)
-    assert says in refusal(bag)
+    assert reason in refusal(bag)
     with pytest.raises(BagError):
         repair(bag)
     assert os.path.lexists(file)
@@ -318,10 +318,10 @@ BOMBS: dict[str, tuple[list[bytes], str]] = {
 @pytest.mark.parametrize("name", BOMBS)
 def test_a_chunk_that_grows_is_not_unpacked(mcap: Path, name: str) -> None:
     """Its size is compared before, and while, it is unpacked; and repair leaves it out."""
-    chunks, says = BOMBS[name]
+    chunks, reason = BOMBS[name]
     with_chunks(mcap, *chunks)
-    assert says in refusal(mcap)
-    assert says in refusal(mcap.parent)
+    assert reason in refusal(mcap)
+    assert reason in refusal(mcap.parent)
     repaired = repair(mcap.parent)
     assert repaired.damaged == max(1, len(chunks) - 1)
     assert ticks_of(mcap.parent) == mutate.TICKS

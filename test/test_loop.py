@@ -21,11 +21,11 @@ from ember_ros.worlds import make_world
 from leg_node.assembly import empty_table
 from leg_node.table_file import save_table
 from sim_node.fake import FakeWorld
-from support.gaits import PlainGait
-from support.learning import literally
+from support.gaits import ReferenceGait
+from support.learning import reference_table
 from support.legs import LEGS, beat
 from support.needs import needs_bullet
-from support.runs import Heard
+from support.runs import SignalLog
 
 PARAMS = load_params("plain")
 TICKS = PARAMS.gait.ticks
@@ -170,9 +170,9 @@ def test_a_table_is_used_from_the_first_tick(tmp_path: Path) -> None:
     save_table(tmp_path / "table.npz", table, PARAMS, 0)
     params = replace(PARAMS, {"walk.epsilon_start": 0.0, "walk.epsilon_end": 0.0})
     with looping("fake", 1, params=params, table=tmp_path / "table.npz") as loop:
-        heard = Heard()
-        loop.tick(heard)
-        assert {c.knee_speed for c in heard.commands[0]} == {PARAMS.leg.knee_speeds[2]}
+        received = SignalLog()
+        loop.tick(received)
+        assert {c.knee_speed for c in received.commands[0]} == {PARAMS.leg.knee_speeds[2]}
 
 
 def test_a_wrong_table_is_refused_before_the_run(tmp_path: Path) -> None:
@@ -205,19 +205,22 @@ def test_what_is_reported_is_what_was_paid() -> None:
     """Legs of another reward are reported by it, term by term, not by the paper's."""
     params = replace(PARAMS, {"parts.reward": f"{__name__}.PaidForSpeed"})
     with looping("fake", 2, policy="random", params=params) as loop:
-        heard, recorder = Heard(), RunStatistics(PARAMS, LEGS)
+        received, recorder = SignalLog(), RunStatistics(PARAMS, LEGS)
         for _ in range(2 * TICKS):
-            loop.tick(heard, recorder)
+            loop.tick(received, recorder)
         recorder.finish(loop.world.observe(), loop.world.body())
         credited = 0
         for place in range(4):
-            for senses, paid in zip(heard.senses, heard.transitions, strict=True):
-                did, sense = paid[place], senses[place]
-                assert did.credited is (sense.tick > 0 and not sense.first_tick)
-                if did.credited:
-                    terms = {"speed": abs(sense.knee_speed), "fine": -0.5 if did.stance else 0.0}
-                    assert dict(did.terms) == terms
-                    assert did.reward == terms["speed"] + terms["fine"]
+            for senses, paid in zip(received.senses, received.transitions, strict=True):
+                transition, sense = paid[place], senses[place]
+                assert transition.credited is (sense.tick > 0 and not sense.first_tick)
+                if transition.credited:
+                    terms = {
+                        "speed": abs(sense.knee_speed),
+                        "fine": -0.5 if transition.stance else 0.0,
+                    }
+                    assert dict(transition.terms) == terms
+                    assert transition.reward == terms["speed"] + terms["fine"]
                     credited += 1
         assert loop.finish().visits.sum() == credited
     rows = recorder.body_rows()
@@ -255,13 +258,13 @@ def test_everything_comes_home(where: str, sync_every: int, extra: int) -> None:
     """
     params = replace(EAGER, {"walk.sync_every": sync_every})
     with looping(where, 9, params=params, seed=2) as loop:
-        heard = Heard()
+        received = SignalLog()
         for _ in range(9 * TICKS + extra):
-            loop.tick(heard)
+            loop.tick(received)
         table = loop.finish()
-    updates = sum(not sense.first_tick for senses in heard.senses[1:] for sense in senses)
+    updates = sum(not sense.first_tick for senses in received.senses[1:] for sense in senses)
     assert updates <= 4 * (9 * TICKS + extra - 1)
-    assert (updates < 4 * (9 * TICKS + extra - 1)) == any(body.falls for body in heard.bodies)
+    assert (updates < 4 * (9 * TICKS + extra - 1)) == any(body.falls for body in received.bodies)
     assert int(table.visits.sum()) == updates
 
 
@@ -287,10 +290,10 @@ def test_a_lone_leg_does_not_notice_sharing(sync_every: int) -> None:
     runs = []
     for each in (params, PARAMS):
         loop = Loop(RunConfig("trainer", 6, params=each), FakeWorld((TRAINER_LEG,), each))
-        heard = Heard()
+        received = SignalLog()
         for _ in range(6 * TICKS):
-            loop.tick(heard)
-        runs.append((loop.finish().sha256(), heard.commands))
+            loop.tick(received)
+        runs.append((loop.finish().sha256(), received.commands))
     assert runs[0] == runs[1]
 
 
@@ -299,11 +302,11 @@ def test_a_sync_every_tick_is_a_literally_shared_table(where: str) -> None:
     """``sync_every = 1``: bit for bit the table that all legs read and write at every tick."""
     params = replace(EAGER, {"walk.sync_every": 1})
     with looping(where, 8, params=params, seed=6) as loop:
-        heard = Heard()
+        received = SignalLog()
         for _ in range(8 * TICKS):
-            loop.tick(heard)
+            loop.tick(received)
         table = loop.finish()
-    assert table.sha256() == literally([heard.seen], params).sha256()
+    assert table.sha256() == reference_table([received.signals], params).sha256()
 
 
 def test_legs_learn_from_each_other() -> None:
@@ -325,12 +328,12 @@ def test_legs_learn_from_each_other() -> None:
 def test_a_tick_is_of_one_tick() -> None:
     """Beat, senses and commands that an observer hears all carry the same tick."""
     with looping("fake", 3) as loop:
-        heard = Heard()
+        received = SignalLog()
         for _ in range(3 * TICKS):
-            loop.tick(heard)
+            loop.tick(received)
         assert loop.now == 3 * TICKS
     for tick, (heard_beat, senses, commands) in enumerate(
-        zip(heard.phases, heard.senses, heard.commands, strict=True)
+        zip(received.phases, received.senses, received.commands, strict=True)
     ):
         assert heard_beat == beat(tick)
         assert {sense.tick for sense in senses} == {command.tick for command in commands} == {tick}
@@ -343,7 +346,7 @@ def test_a_leg_s_name_and_place_go_with_its_senses() -> None:
         for _ in range(TICKS):
             loop.tick()
         for leg, sense in zip(LEGS, loop.world.observe(), strict=True):
-            goal = PlainGait(PARAMS, leg).hip_goal(TICKS - 1)
+            goal = ReferenceGait(PARAMS, leg).hip_goal(TICKS - 1)
             assert sense.hip == pytest.approx(goal, abs=0.01)
 
 
@@ -360,16 +363,16 @@ def test_plans_name_their_legs_and_stage() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("wrong", "reason"),
     [
         ({"world": "moon"}, r"no world 'moon'; it is trainer or walker"),
         ({"cycles": -1}, "cycles = -1 must be 0 or more"),
         ({"seed": -1}, "seed = -1: 0 to 9223372036854775807 would be right"),
     ],
 )
-def test_a_wrong_plan_is_refused(wrong: dict[str, Any], says: str) -> None:
+def test_a_wrong_plan_is_refused(wrong: dict[str, Any], reason: str) -> None:
     """A plan that cannot be run says why when it is made."""
-    with pytest.raises(ParameterError, match=says):
+    with pytest.raises(ParameterError, match=reason):
         RunConfig(**{"world": "walker", "cycles": 1, **wrong})
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ember_ros.entry_points import NODES
-from support.command import child, nobody_reads
+from support.command import child, closed_pipe
 
 WALL = """
 import importlib.abc, runpy, sys
@@ -158,6 +158,6 @@ def test_a_command_whose_standard_streams_are_closed_runs(tmp_path: Path) -> Non
 def test_the_help_of_a_node_may_be_cut_off() -> None:
     """``ember node leg_node --help | head -1``: no traceback."""
     command = [sys.executable, "-m", "ember_ros", "node", "leg_node", "--help"]
-    with nobody_reads() as pipe:
+    with closed_pipe() as pipe:
         done = child(command, stdout=pipe)
     assert done.stderr == ""

@@ -19,8 +19,8 @@ from leg_node.policy import Random
 from leg_node.reward import PaperReward
 from leg_node.table import Table
 from sim_node.fake import FakeWorld
-from support.gaits import PlainGait
-from support.learning import paid
+from support.gaits import ReferenceGait
+from support.learning import reward_of
 from support.legs import LEGS, beat
 
 PARAMS = load_params("plain")
@@ -70,7 +70,7 @@ def test_a_leg_is_q_learning() -> None:
     """400 ticks are one-step Q-learning, written here a second time from senses and commands."""
     leg, plain = module(seed=5), empty_table(PARAMS)
     partition, rewarder = PaperDiscretizer(PARAMS), PaperReward(PARAMS)
-    gait, learning_params = PlainGait(PARAMS), PARAMS.walk
+    gait, learning_params = ReferenceGait(PARAMS), PARAMS.walk
     before: list[tuple[int, int, bool]] = []
 
     def learn(sense: LegSense, command: LegCommand) -> None:
@@ -78,7 +78,7 @@ def test_a_leg_is_q_learning() -> None:
         state = partition.index(sense, stance)
         if before:
             old_state, old_action, old_stance = before.pop()
-            target = paid(rewarder, sense, old_stance) + learning_params.gamma * max(
+            target = reward_of(rewarder, sense, old_stance) + learning_params.gamma * max(
                 plain.row(state)
             )
             plain.update(old_state * 9 + old_action, target, learning_params.rate)
@@ -116,7 +116,7 @@ def test_what_is_done_after_a_restart_is_credited() -> None:
     live(leg, 1, world=world, begin=11)
     changed = (leg.copy.table.visits - before).nonzero()[0]
     (put_down,) = FakeWorld((TRAINER_LEG,), PARAMS).observe()
-    stance = PlainGait(PARAMS).stance(10)
+    stance = ReferenceGait(PARAMS).stance(10)
     assert sense.tick == 11
     assert [cell // 9 for cell in changed] == [PaperDiscretizer(PARAMS).index(put_down, stance)]
 
@@ -187,11 +187,11 @@ def test_the_stage_decides_the_learning_parameters() -> None:
 def test_a_leg_learns() -> None:
     """In the fake world, 300 cycles of training earn more a tick than the first ones did."""
     leg, rewarder, earned = module(stage="train", seed=1), PaperReward(PARAMS), []
-    gait = PlainGait(PARAMS)
+    gait = ReferenceGait(PARAMS)
 
     def earn(sense: LegSense, command: LegCommand) -> None:
         if sense.tick:
-            earned.append(paid(rewarder, sense, gait.stance(sense.tick - 1)))
+            earned.append(reward_of(rewarder, sense, gait.stance(sense.tick - 1)))
 
     live(leg, 300 * TICKS, seen=earn)
     first, last = earned[: 30 * TICKS], earned[-30 * TICKS :]
@@ -218,7 +218,7 @@ def transitions(
 def test_transitions_are_a_chain() -> None:
     """The state and stance in which one ends are those in which the next one begins."""
     told = transitions(module(policy="random"), 100)
-    partition, gait = PaperDiscretizer(PARAMS), PlainGait(PARAMS)
+    partition, gait = PaperDiscretizer(PARAMS), ReferenceGait(PARAMS)
     for did, sense, _ in told:
         assert did.tick == sense.tick
         assert did.next_stance is gait.stance(sense.tick)
@@ -239,7 +239,7 @@ def test_where_the_chain_breaks_there_is_nothing_to_credit() -> None:
         assert did.terms == tuple((name, 0.0) for name in PaperReward.names)
         assert did.reward == 0.0
         assert did.next_state >= 0
-        assert did.next_stance is PlainGait(PARAMS).stance(did.tick)
+        assert did.next_stance is ReferenceGait(PARAMS).stance(did.tick)
 
 
 def test_the_error_is_the_target_less_the_value_before() -> None:
@@ -352,7 +352,7 @@ def test_a_learner_that_is_off_is_never_asked() -> None:
 
 def test_commands_are_of_their_tick_and_within_what_a_motor_has() -> None:
     """Tick, a knee speed of the list, a hip speed up to its limit, the motors' own torques."""
-    gait = PlainGait(PARAMS)
+    gait = ReferenceGait(PARAMS)
 
     def look(sense: LegSense, command: LegCommand) -> None:
         assert command.tick == sense.tick
@@ -371,7 +371,7 @@ def test_commands_are_of_their_tick_and_within_what_a_motor_has() -> None:
 
 def test_the_hip_follows_its_ramp() -> None:
     """A hip that obeys is where the ramp says after each tick, once it has caught up."""
-    gait = PlainGait(PARAMS, "front_right")
+    gait = ReferenceGait(PARAMS, "front_right")
 
     def look(sense: LegSense, command: LegCommand) -> None:
         if sense.tick > TICKS:
@@ -432,16 +432,16 @@ def test_a_leg_takes_up_what_was_learnt() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("wrong", "reason"),
     [
         ({"leg": "middle"}, r"no leg 'middle'.*front_left.*leg"),
         ({"stage": "run"}, r"no stage 'run'.*train or walk"),
         ({"policy": "best"}, r"no policy 'best'.*learned, scripted, random"),
     ],
 )
-def test_a_wrong_name_is_refused(wrong: dict[str, str], says: str) -> None:
+def test_a_wrong_name_is_refused(wrong: dict[str, str], reason: str) -> None:
     """A leg, stage or policy that does not exist: the message lists those that do."""
-    with pytest.raises(ParameterError, match=says):
+    with pytest.raises(ParameterError, match=reason):
         make_leg(PARAMS, **{"leg": "leg", **wrong})  # type: ignore[arg-type]
 
 

@@ -23,13 +23,13 @@ from ember_ros.spinning import node_main
 from leg_node.node import LegNode
 from leg_node.table_node import TableNode
 from sim_node.node import SimNode
-from support.bags import KEPT
-from support.robot import PATIENCE_S, overrides, spun
+from support.bags import SHIPPED_BAG
+from support.robot import PATIENCE_S, overrides, run_to_end
 from support.ros import Ros
 from support.runs import Bits
 from support.waiting import in_time
 
-PLAN = RunConfig("walker", 6, seed=4, params=replace(Params(), {"walk.sync_every": 32}))
+CONFIG = RunConfig("walker", 6, seed=4, params=replace(Params(), {"walk.sync_every": 32}))
 SOON_S = 1.0
 """Wall time for a lease where nobody is to be waited for."""
 MAKERS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -90,19 +90,19 @@ def test_of_two_runs_one_is_refused_and_the_other_ends_with_its_own_bits(
     ros: Ros, by_loop: Callable[[RunConfig], Bits], by_graph: Callable[[Any], Bits]
 ) -> None:
     """Before and while the first runs; once it is closed, a next one may."""
-    with closing(Graph(PLAN, patience=PATIENCE_S, context=ros.context)) as graph:
+    with closing(Graph(CONFIG, patience=PATIENCE_S, context=ros.context)) as graph:
         for _ in range(2):
             with pytest.raises(NameTakenError, match=r"^/ as a whole is taken by /sim_node"):
-                Graph(PLAN, context=ros.context)
+                Graph(CONFIG, context=ros.context)
             ros.spin_until(lambda: graph.sim.tick >= 40, "tick 40", graph.spin_once)
-        assert by_graph(spun(graph)) == by_loop(PLAN)
-    with closing(Graph(PLAN, patience=PATIENCE_S, context=ros.context)) as graph:
-        assert by_graph(spun(graph)) == by_loop(PLAN)
+        assert by_graph(run_to_end(graph)) == by_loop(CONFIG)
+    with closing(Graph(CONFIG, patience=PATIENCE_S, context=ros.context)) as graph:
+        assert by_graph(run_to_end(graph)) == by_loop(CONFIG)
 
 
 def test_a_bag_is_not_played_beside_a_robot_nor_a_robot_begun_beside_a_bag(ros: Ros) -> None:
     """Who plays it has the seats of all whom it speaks for."""
-    with Bag(KEPT) as bag:
+    with Bag(SHIPPED_BAG) as bag:
         player = ros.add(PlayerNode(bag, paused=True, context=ros.context))
         with pytest.raises(NameTakenError, match=r"^/clock is taken by /player_node"):
             make(ros, "/clock")
@@ -135,8 +135,8 @@ def test_a_name_of_any_length_is_a_seat() -> None:
 def test_a_stranger_on_the_graph_is_named_before_the_first_tick(ros: Ros) -> None:
     """A node that is not ours says the phase: a graph of its own context runs no tick, and ends."""
     ros.publisher(topics.PHASE, matched=False)
-    with closing(Graph(PLAN, patience=PATIENCE_S)) as graph:
-        with pytest.raises(NameTakenError, match=r"^/cpg/phase is taken by /onlooker"):
+    with closing(Graph(CONFIG, patience=PATIENCE_S)) as graph:
+        with pytest.raises(NameTakenError, match=r"^/cpg/phase is taken by /test_observer"):
             graph.run(in_time())
         assert graph.sim.tick == 0
 
@@ -179,7 +179,7 @@ def test_a_stranger_s_table_is_seen(ros: Ros) -> None:
     """Services are told apart by who serves them."""
     topics.PUSH.serve(ros.node, lambda request, response: response)
     table = ros.add(make(ros, "/table/push"))
-    ros.spin_until(lambda: table.duplicates() == ["/onlooker"], "it is seen")
+    ros.spin_until(lambda: table.duplicates() == ["/test_observer"], "it is seen")
 
 
 # -- the executables ---------------------------------------------------------------------------
@@ -206,6 +206,6 @@ def test_a_node_that_meets_a_stranger_ends_before_it_says_anything(
     ros.publisher(topics.PHASE, matched=False)
     ros.publisher(topics.CLOCK, matched=False).publish(cdr.pack_clock(0))
     assert node_main(CpgNode, []) == NAME_TAKEN
-    assert "error: /cpg/phase is taken by /onlooker" in capsys.readouterr().err
+    assert "error: /cpg/phase is taken by /test_observer" in capsys.readouterr().err
     ros.spin_once()
     assert phases == []

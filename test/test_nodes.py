@@ -38,7 +38,7 @@ from sim_node.node import FINISHED, SimNode
 from support.legs import LEGS
 from support.robot import PATIENCE_S, Robot, overrides
 from support.ros import Ros
-from support.runs import Heard
+from support.runs import SignalLog
 
 NODES = (SimNode, CpgNode, LegNode, TableNode)
 NEEDED: dict[Any, dict[str, Any]] = {LegNode: {"leg": "rear_left"}}
@@ -112,9 +112,9 @@ def test_a_sim_node_has_what_its_docstring_lists(ros: Ros, world: str) -> None:
     published = documented(SimNode, "Publishes", node.legs)
     assert len(published) == 4 + 2 * len(node.legs)
     assert agree(published, live(ros, "publisher", node))
-    heard = documented(SimNode, "Subscribes", node.legs)
-    assert len(heard) == 2 + 2 * len(node.legs)
-    assert agree(heard, live(ros, "subscriber", node))
+    received = documented(SimNode, "Subscribes", node.legs)
+    assert len(received) == 2 + 2 * len(node.legs)
+    assert agree(received, live(ros, "subscriber", node))
     assert not live(ros, "client", node)
     assert not live(ros, "service", node)
 
@@ -467,28 +467,30 @@ def test_a_cpg_publishes_the_phase_of_every_clock(
 
 
 @pytest.fixture(scope="module")
-def tape() -> Heard:
+def tape() -> SignalLog:
     """Record four cycles of the walker."""
-    loop, tape = Loop(RunConfig("walker", 4, seed=7)), Heard()
+    loop, tape = Loop(RunConfig("walker", 4, seed=7)), SignalLog()
     for _ in range(128):
         loop.tick(tape)
     loop.close()
     return tape
 
 
-def alone(leg: str, tape: Heard) -> tuple[list[bytes], str]:
+def alone(leg: str, tape: SignalLog) -> tuple[list[bytes], str]:
     """Return the commands of a leg without ROS to which a tape is played, and its table's hash."""
     module = make_leg(Params(), leg, seed=3, shared=False)
     pack = wire.CommandWire(leg, TICK_NS).pack
-    commands = [pack(module.tick(senses[LEGS.index(leg)], beat)) for beat, senses, _ in tape.seen]
-    assert module.copy.table.visits.sum() == len(tape.seen) - 1
+    commands = [
+        pack(module.tick(senses[LEGS.index(leg)], beat)) for beat, senses, _ in tape.signals
+    ]
+    assert module.copy.table.visits.sum() == len(tape.signals) - 1
     return commands, module.copy.table.sha256()
 
 
 def play(
     ros: Ros,
     leg: str,
-    tape: Heard,
+    tape: SignalLog,
     order: Callable[[int], Sequence[int]] = lambda n: (0, 1, 2),
     between: Callable[[int], None] = lambda n: None,
 ) -> tuple[list[bytes], Any]:
@@ -498,10 +500,10 @@ def play(
     """
     node = make(ros, LegNode, leg=leg, shared=False, seed=3)
     answers = ros.messages(topics.command(leg), raw=True)
-    heard = (topics.joint_states(leg), topics.contact(leg), topics.PHASE)
-    publishers = [ros.publisher(topic) for topic in heard]
+    received = (topics.joint_states(leg), topics.contact(leg), topics.PHASE)
+    publishers = [ros.publisher(topic) for topic in received]
     packer = wire.SenseWire(leg, TICK_NS)
-    for n, (beat, senses, _) in enumerate(tape.seen):
+    for n, (beat, senses, _) in enumerate(tape.signals):
         between(n)
         data = [*packer.pack(senses[LEGS.index(leg)]), wire.BeatWire(TICK_NS).pack(beat)]
         for which in order(n):
@@ -513,7 +515,7 @@ def play(
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_what_other_legs_hear_and_say_changes_no_bit_of_a_leg(
-    ros: Ros, tape: Heard, seed: int
+    ros: Ros, tape: SignalLog, seed: int
 ) -> None:
     """Locality: a leg fed recorded senses and phases commands and learns the same, bit for bit.
 
@@ -530,8 +532,8 @@ def test_what_other_legs_hear_and_say_changes_no_bit_of_a_leg(
     def garbage(n: int) -> None:
         for which in rng.permutation(len(publishers)):
             leg = others[rng.integers(len(others))]
-            felt = [float(number) for number in rng.normal(0.0, 9.0, 8)]
-            sense = LegSense._make([int(rng.integers(200)), *felt, True, False, True])
+            sensed = [float(number) for number in rng.normal(0.0, 9.0, 8)]
+            sense = LegSense._make([int(rng.integers(200)), *sensed, True, False, True])
             texts = (*wire.SenseWire(leg, TICK_NS).pack(sense), rng.bytes(20))
             publishers[which].publish(texts[rng.integers(len(texts))])
 
@@ -540,7 +542,7 @@ def test_what_other_legs_hear_and_say_changes_no_bit_of_a_leg(
     assert node.refused == 0
 
 
-def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: Heard) -> None:
+def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: SignalLog) -> None:
     """Senses and phase of a tick may come in any order, and twice; the commands are the same."""
     rng = np.random.default_rng(0)
 
@@ -552,7 +554,7 @@ def test_a_leg_answers_whatever_order_a_tick_comes_in(ros: Ros, tape: Heard) -> 
     assert (commands, node.module.copy.table.sha256()) == alone("front_left", tape)
 
 
-def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: Heard) -> None:
+def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: SignalLog) -> None:
     """While ``table/push`` is not served yet its first push would be lost: it waits for both."""
     shared = SharedTable(
         empty_table(Params()), legs=4, cells=cells_sha256(Params()), rate=Params().walk.rate
@@ -572,7 +574,7 @@ def test_a_leg_begins_when_both_services_of_the_table_are_there(ros: Ros, tape: 
     make(ros, LegNode, leg="rear_left")
     topics.PULL.serve(ros.node, pull)
     answers = ros.messages(topics.command("rear_left"), raw=True)
-    beat, senses, _ = tape.seen[0]
+    beat, senses, _ = tape.signals[0]
     joints, contact = wire.SenseWire("rear_left", TICK_NS).pack(senses[2])
     ros.publisher(topics.joint_states("rear_left")).publish(joints)
     ros.publisher(topics.contact("rear_left")).publish(contact)
@@ -975,17 +977,17 @@ def test_a_push_that_cannot_be_stored_is_kept_by_the_leg(ros: Ros, tmp_path: Pat
     save = tmp_path / "table.npz"
     config = RunConfig("walker", 1000, seed=3)
     robot = Robot(ros, config, sim_node={"patience": PATIENCE_S}, table_node={"save": str(save)})
-    robot.walk_to(40)
+    robot.spin_to_tick(40)
     store = Path(f"{save}.store")
     store.rename(tmp_path / "away")
     legs = [robot.nodes[f"leg_{leg}"] for leg in LEGS]
     ros.spin_until(lambda: all(leg._table_absent for leg in legs), "all legs walk alone")
-    robot.walk_to(robot.tick + 100)
+    robot.spin_to_tick(robot.tick + 100)
     waiting = [leg.module.copy.oldest_unacknowledged() for leg in legs]
     assert all(waiting)
     (tmp_path / "away").rename(store)
     ros.spin_until(lambda: not any(leg._table_absent for leg in legs), "the table takes pushes")
-    robot.walk_to(robot.tick + 64)
+    robot.spin_to_tick(robot.tick + 64)
     assert all(leg.module.copy.oldest_unacknowledged() not in waiting for leg in legs)
     robot.finish()
     falls = robot.sim.recorder.summary()["falls"]

@@ -18,10 +18,10 @@ from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat
 from leg_node.assembly import empty_table
 from support import bags
-from support.configs import small_plan
+from support.configs import small_config
 from support.needs import needs_bags
 
-KEPT = Path(__file__).parent / "fixtures" / "walk"
+SHIPPED_BAG = Path(__file__).parent / "fixtures" / "walk"
 
 
 @needs_bags
@@ -29,12 +29,12 @@ def test_the_bag_that_is_kept_is_read(tmp_path: Path) -> None:
     """Of before ``<leg>/transition``: counts, lines, and what its legs sensed and did."""
     from ember_ros.bag.reader import Bag
 
-    with Bag(KEPT) as bag:
+    with Bag(SHIPPED_BAG) as bag:
         found, rows = inspection.info(bag)
     assert (found["ticks"], found["falls"], found["damaged"]) == (96, 0, [])
     assert found["reward"] is None  # nobody said what was paid
     assert len(rows) == 3 * 5
-    with Bag(KEPT) as bag:
+    with Bag(SHIPPED_BAG) as bag:
         files = inspection.write_csv(bag, tmp_path)
         assert bag.reward_terms == ()
     lines = files[1].read_text().splitlines()
@@ -47,7 +47,7 @@ def test_the_phases_of_the_bag_that_is_kept_are_read_as_beats() -> None:
     """Of before they had a stamp: a phase named its tick."""
     from ember_ros.bag.reader import Bag
 
-    with Bag(KEPT) as bag:
+    with Bag(SHIPPED_BAG) as bag:
         assert bag.connections["/cpg/phase"].msgtype == topics.BARE_PHASE.kind
         assert [tick.beat for tick in bag.ticks()] == [Beat(n, n / 32) for n in range(96)]
 
@@ -57,7 +57,7 @@ def test_the_phase_offsets_of_the_bag_that_is_kept_are_those_of_the_robot() -> N
     """They were numbers of the gait, one a leg; nothing of the card is gone."""
     from ember_ros.bag.reader import Bag
 
-    with Bag(KEPT) as bag:
+    with Bag(SHIPPED_BAG) as bag:
         assert bag.run_metadata is not None
         assert bag.run_metadata.params.robot == Params().robot
         assert not [name for name in bag.run_metadata.gone if name.startswith("gait.")]
@@ -68,7 +68,7 @@ def test_a_bag_of_two_kinds_of_phase_is_read_by_the_stamped_one(tmp_path: Path) 
     """Whatever else is said on that topic: what this version says is what is read."""
     from ember_ros.bag.reader import Bag
 
-    made = bags.record(tmp_path / "bag", small_plan(1))
+    made = bags.record(tmp_path / "bag", small_config(1))
     raws = bags.raws_of(made.bag)
     bare = [
         raw._replace(kind=topics.BARE_PHASE.kind, data=cdr.ENCAPSULATION + bytes(8))
@@ -88,15 +88,20 @@ def test_transitions_that_do_not_tell_what_came_next_are_left_out(tmp_path: Path
     from ember_ros.offline.relearn import relearn
     from ember_ros.offline.replay import replay
 
-    made = bags.record(tmp_path / "new", small_plan(2))
+    made = bags.record(tmp_path / "new", small_config(2))
     tick_ns = made.config.params.gait.tick_ns
     older = []
     for raw in bags.raws_of(made.bag):
         leg, _, what = raw.topic.strip("/").rpartition("/")
         if what == "transition":
-            did = wire.TransitionWire(leg, tick_ns).read(raw.data)
-            names = [*wire.OLDER_TRANSITION, *(name for name, _ in did.terms)]
-            numbers = [did.stance, did.state, did.action, *(value for _, value in did.terms)]
+            transition = wire.TransitionWire(leg, tick_ns).read(raw.data)
+            names = [*wire.OLDER_TRANSITION, *(name for name, _ in transition.terms)]
+            numbers = [
+                transition.stance,
+                transition.state,
+                transition.action,
+                *(value for _, value in transition.terms),
+            ]
             laid = wire.JointWire(f"{leg}_thigh", names, "position")
             raw = raw._replace(data=laid.pack(raw.ns, numbers))
         older.append(raw)
@@ -118,7 +123,7 @@ def test_the_bag_that_is_kept_is_learnt_from() -> None:
     """A tick's update needs the senses after it, so each leg has one less than its ticks."""
     from ember_ros.offline.relearn import relearn
 
-    learnt = relearn([KEPT])
+    learnt = relearn([SHIPPED_BAG])
     assert (learnt.ticks, learnt.updates, learnt.skipped) == (96, 4 * 95, 0)
 
 
@@ -128,7 +133,7 @@ def test_the_bag_that_is_kept_is_replayed_as_far_as_can_be() -> None:
     from ember_ros.bag.reader import Bag
     from ember_ros.offline.replay import replay
 
-    with Bag(KEPT) as bag:
+    with Bag(SHIPPED_BAG) as bag:
         done = replay(bag)
     assert (done.ticks, done.compared, done.difference, done.missing) == (96, 384, None, None)
     assert done.transition_difference is None

@@ -273,7 +273,7 @@ def test_a_value_is_taken_or_refused_by_name(name: str, value: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("changes", "reason"),
     [
         ({"gait.ticks": 33}, "gait.ticks = 33 must be a power of two"),
         ({"gait.period": 1 / 3}, "gait.period = 0.33"),
@@ -314,9 +314,11 @@ def test_a_value_is_taken_or_refused_by_name(name: str, value: object) -> None:
         ),
     ],
 )
-def test_numbers_that_contradict_each_other_are_refused(changes: dict[str, Any], says: str) -> None:
+def test_numbers_that_contradict_each_other_are_refused(
+    changes: dict[str, Any], reason: str
+) -> None:
     """What each range lets pass but no robot could be built of is refused with a name."""
-    with pytest.raises(ParameterError, match=says):
+    with pytest.raises(ParameterError, match=reason):
         replace(Params(), changes)
 
 

@@ -16,7 +16,7 @@ from ember_ros.signals import LegSense
 from leg_node.gait import GaitStep, HipRamp
 from leg_node.policy import EpsilonGreedy, Random, Scripted, epsilon_at
 from leg_node.table import Table
-from support.gaits import PlainGait
+from support.gaits import ReferenceGait
 from support.legs import beat
 
 TICKS = 32
@@ -218,12 +218,12 @@ def follow(
     cycles: int, pitch: float = 0.0, params: Params = PARAMS
 ) -> list[tuple[int, float, float]]:
     """Return (tick of the cycle, knee, height) after each tick of a leg that obeys at once."""
-    policy, ramp, plain = script(params), HipRamp(params, 0.0), PlainGait(params)
+    policy, ramp, plain = script(params), HipRamp(params, 0.0), ReferenceGait(params)
     tick_s, leg = PARAMS.gait.tick_s, PARAMS.leg
     hip, knee, out = PARAMS.gait.hip_front, 0.5, []
     for tick in range(cycles * TICKS):
-        felt = sense(tick, hip, knee, pitch)
-        action = policy.choose(felt, ramp.step(beat(tick), felt), 0)
+        sensed = sense(tick, hip, knee, pitch)
+        action = policy.choose(sensed, ramp.step(beat(tick), sensed), 0)
         assert 0 <= action < len(SPEEDS)
         knee = max(0.0, min(leg.knee_max, knee + SPEEDS[action] * tick_s))
         hip = plain.hip_goal(tick)
@@ -263,9 +263,9 @@ def test_the_script_feels_the_body_s_pitch(pitch: float) -> None:
 
 def test_the_script_draws_no_numbers() -> None:
     """Same senses, same step of the gait: the same action, whatever the state."""
-    policy, felt = script(), sense(3, 0.1, 0.4)
-    step = HipRamp(PARAMS, 0.0).step(beat(3), felt)
-    assert len({policy.choose(felt, step, state) for state in range(50)}) == 1
+    policy, sensed = script(), sense(3, 0.1, 0.4)
+    step = HipRamp(PARAMS, 0.0).step(beat(3), sensed)
+    assert len({policy.choose(sensed, step, state) for state in range(50)}) == 1
 
 
 def test_the_script_has_numbers_of_its_own() -> None:

@@ -28,7 +28,7 @@ from ember_ros.signals import Beat, BodyState, LegCommand, LegSense, Transition
 from leg_node.assembly import make_leg
 from leg_node.reward import PaperReward
 from sim_node.fake import FakeWorld
-from support.gaits import PlainGait
+from support.gaits import ReferenceGait
 from support.legs import LEGS, beat
 
 PARAMS = Params()
@@ -52,7 +52,7 @@ def run(ticks: int, *, falls_at: Sequence[int] = (), legs: Sequence[str] = LEGS)
     """
     world = FakeWorld(legs, PARAMS, falls_at=falls_at)
     modules = [make_leg(PARAMS, leg, policy="random", shared=False) for leg in legs]
-    heard = []
+    received = []
     for tick in range(ticks + 1):
         senses = world.observe()
         commands = tuple(leg.tick(s, beat(tick)) for leg, s in zip(modules, senses, strict=True))
@@ -65,17 +65,17 @@ def run(ticks: int, *, falls_at: Sequence[int] = (), legs: Sequence[str] = LEGS)
             yaw=0.3,
         )
         paid = tuple(leg.last_transition for leg in modules)
-        heard.append(Tick(beat(tick), senses, commands, body, paid))
+        received.append(Tick(beat(tick), senses, commands, body, paid))
         world.step(beat(tick), commands)
-    return heard
+    return received
 
 
 def record(
-    heard: Sequence[Tick], folder: Path | None = None, changed: dict[int, Tick] | None = None
+    received: Sequence[Tick], folder: Path | None = None, changed: dict[int, Tick] | None = None
 ) -> RunStatistics:
     """Return the finished record of a run, some of its ticks changed."""
-    every = [(changed or {}).get(n, tick) for n, tick in enumerate(heard)]
-    recorder = RunStatistics(PARAMS, LEGS[: len(heard[0].senses)], folder)
+    every = [(changed or {}).get(n, tick) for n, tick in enumerate(received)]
+    recorder = RunStatistics(PARAMS, LEGS[: len(received[0].senses)], folder)
     for tick in every[:-1]:
         recorder.tick(*tick)
     recorder.finish(every[-1].senses, every[-1].body)
@@ -104,12 +104,12 @@ def test_a_line_a_cycle_for_each_leg_and_the_body() -> None:
 
 def test_a_cycle_that_was_begun_has_its_line() -> None:
     """A run stopped in the middle of a cycle loses nothing: its last lines tell what there was."""
-    heard = run(2 * TICKS + 5)
-    recorder = record(heard)
+    received = run(2 * TICKS + 5)
+    recorder = record(received)
     last = recorder.body_rows()[-1]
     assert last.cycle == 2
     assert last.distance_m is not None
-    start, end = heard[2 * TICKS].body, heard[2 * TICKS + 5].body
+    start, end = received[2 * TICKS].body, received[2 * TICKS + 5].body
     way = (end.x - start.x) * math.cos(0.3) + (end.y - start.y) * math.sin(0.3)
     assert last.distance_m == way
     assert len(recorder.traces) == 5 * (2 * TICKS + 5)
@@ -117,11 +117,11 @@ def test_a_cycle_that_was_begun_has_its_line() -> None:
 
 def test_the_legs_lines() -> None:
     """Peak force, mean reward, contact share and slip of each leg, written here a second time."""
-    heard = run(2 * TICKS, falls_at=[40])
-    recorder, rewarder = record(heard), PaperReward(PARAMS)
-    assert sum(did is None or not did.credited for t in heard[1:] for did in t.transitions) == 4
+    received = run(2 * TICKS, falls_at=[40])
+    recorder, rewarder = record(received), PaperReward(PARAMS)
+    assert sum(did is None or not did.credited for t in received[1:] for did in t.transitions) == 4
     for place, leg in enumerate(LEGS):
-        gait = PlainGait(PARAMS, leg)
+        gait = ReferenceGait(PARAMS, leg)
         for cycle in range(2):
             ends = [
                 (
@@ -130,39 +130,40 @@ def test_the_legs_lines() -> None:
                     after.senses[place],
                 )
                 for tick, after in zip(
-                    heard[cycle * TICKS : (cycle + 1) * TICKS],
-                    heard[cycle * TICKS + 1 :],
+                    received[cycle * TICKS : (cycle + 1) * TICKS],
+                    received[cycle * TICKS + 1 :],
                     strict=False,
                 )
             ]
-            felt = [each for each in ends if not each[2].first_tick]
-            assert len(felt) == TICKS - cycle
+            sensed = [each for each in ends if not each[2].first_tick]
+            assert len(sensed) == TICKS - cycle
             (row,) = (r for r in recorder.rows if (r.cycle, r.module) == (cycle, leg))
-            assert row.peak_force_n == max(sense.force_peak for *_, sense in felt)
+            assert row.peak_force_n == max(sense.force_peak for *_, sense in sensed)
             assert row.reward == pytest.approx(
                 sum(
                     sum(rewarder.terms(sense, paid).values())
-                    for n, (_, paid, sense) in enumerate(felt)
+                    for n, (_, paid, sense) in enumerate(sensed)
                     if (cycle, n) != (1, TICKS - 2)  # the run's last tick is paid for by nobody
                 )
                 / (TICKS - 2 * cycle)
             )
-            assert row.contact_share == sum(s and x.force_mean > 0.0 for s, _, x in felt) / 24
-            assert row.duty_factor == sum(x.force_mean > 0.0 for *_, x in felt) / TICKS
-            assert row.slip_m == pytest.approx(sum(sense.slip for *_, sense in felt))
+            assert row.contact_share == sum(s and x.force_mean > 0.0 for s, _, x in sensed) / 24
+            assert row.duty_factor == sum(x.force_mean > 0.0 for *_, x in sensed) / TICKS
+            assert row.slip_m == pytest.approx(sum(sense.slip for *_, sense in sensed))
             assert row[7:] == (None,) * 8
 
 
 def test_a_leg_that_says_nothing_has_no_share() -> None:
     """Whose stance nobody knows has no share of it, and earned nothing; the others' mean stands."""
-    heard = run(TICKS)
+    received = run(TICKS)
     silent = {
-        n: tick._replace(transitions=(*tick.transitions[:3], None)) for n, tick in enumerate(heard)
+        n: tick._replace(transitions=(*tick.transitions[:3], None))
+        for n, tick in enumerate(received)
     }
-    rows = record(heard, changed=silent).rows
+    rows = record(received, changed=silent).rows
     assert rows[3].contact_share is None
     assert rows[3].reward == 0.0
-    assert rows[3].duty_factor == record(heard).rows[3].duty_factor
+    assert rows[3].duty_factor == record(received).rows[3].duty_factor
     shares = [row.contact_share for row in rows[:3] if row.contact_share is not None]
     assert rows[4].contact_share == sum(shares) / 3
 
@@ -180,13 +181,13 @@ def test_cycles_are_those_of_the_phase(rate: float, cycles: list[tuple[int, int]
 
     Each line is of the ticks that were in its cycle.
     """
-    heard = [tick._replace(beat=Beat(n, rate * n / TICKS)) for n, tick in enumerate(run(100))]
-    recorder = record(heard)
+    received = [tick._replace(beat=Beat(n, rate * n / TICKS)) for n, tick in enumerate(run(100))]
+    recorder = record(received)
     rows = recorder.body_rows()
     assert [row.cycle for row in rows] == [cycle for cycle, _ in cycles]
     start = 0
     for row, (_, ticks) in zip(rows, cycles, strict=True):
-        before, after = heard[start].body, heard[start + ticks].body
+        before, after = received[start].body, received[start + ticks].body
         way = (after.x - before.x) * math.cos(0.3) + (after.y - before.y) * math.sin(0.3)
         assert row.distance_m == pytest.approx(way)
         start += ticks
@@ -195,11 +196,11 @@ def test_cycles_are_those_of_the_phase(rate: float, cycles: list[tuple[int, int]
 
 def test_contact_share_is_of_stance_only() -> None:
     """Always on the ground is 1, never is 0, and contact in swing does not count."""
-    heard = run(TICKS)
-    gait = PlainGait(PARAMS, LEGS[0])
+    received = run(TICKS)
+    gait = ReferenceGait(PARAMS, LEGS[0])
     for pattern, wanted in (("always", 1.0), ("never", 0.0), ("swing", 0.0), ("stance", 1.0)):
         changed = []
-        for n, tick in enumerate(heard):
+        for n, tick in enumerate(received):
             stance = gait.stance(n - 1) if n else True
             force = {
                 "always": 9.0,
@@ -216,16 +217,16 @@ def test_contact_share_is_of_stance_only() -> None:
 
 def test_the_body_s_line() -> None:
     """Means over legs, progress along the heading, spread of roll and pitch, extremes."""
-    heard = run(TICKS)
-    recorder = record(heard)
+    received = run(TICKS)
+    recorder = record(received)
     *legs, body = recorder.rows
     assert body.peak_force_n == max(leg.peak_force_n for leg in legs)
     for name in ("reward", "contact_share", "slip_m"):
         mean = sum(getattr(leg, name) for leg in legs) / 4
         assert getattr(body, name) == pytest.approx(mean, rel=1e-12)
-    poses = [tick.body for tick in heard[:-1]]
+    poses = [tick.body for tick in received[:-1]]
     rolls, pitches = [p.roll for p in poses], [p.pitch for p in poses]
-    end = heard[-1].body
+    end = received[-1].body
     assert body.distance_m == pytest.approx(end.x * math.cos(0.3) + end.y * math.sin(0.3))
     assert body.roll_sd_rad == pytest.approx(np.std(rolls))
     assert body.pitch_sd_rad == pytest.approx(np.std(pitches))
@@ -252,12 +253,12 @@ def test_no_fall_is_none() -> None:
 
 def test_a_tick_that_ended_in_a_fall_earns_nothing() -> None:
     """Senses after being put down say nothing of the tick before: no slip, no force, no reward."""
-    heard = run(TICKS, falls_at=[7])
+    received = run(TICKS, falls_at=[7])
     wild = tuple(
-        sense._replace(slip=99.0, force_peak=9e9, force_mean=9e9) for sense in heard[7].senses
+        sense._replace(slip=99.0, force_peak=9e9, force_mean=9e9) for sense in received[7].senses
     )
-    rows = record(heard, changed={7: heard[7]._replace(senses=wild)}).rows
-    assert rows == record(heard).rows
+    rows = record(received, changed={7: received[7]._replace(senses=wild)}).rows
+    assert rows == record(received).rows
 
 
 @pytest.mark.parametrize(
@@ -292,12 +293,12 @@ def test_totals_are_over_all_cycles() -> None:
 
 def test_absent_ticks_are_counted_by_leg() -> None:
     """A leg without a command is absent in that tick, and only it."""
-    heard = run(TICKS)
+    received = run(TICKS)
     without = {
-        n: heard[n]._replace(commands=(*heard[n].commands[:2], None, heard[n].commands[3]))
+        n: received[n]._replace(commands=(*received[n].commands[:2], None, received[n].commands[3]))
         for n in (3, 4, 20)
     }
-    summary = record(heard, changed=without).summary()
+    summary = record(received, changed=without).summary()
     assert summary["absent_ticks"] == dict(zip(LEGS, (0, 0, 3, 0), strict=True))
 
 
@@ -306,9 +307,9 @@ def test_absent_ticks_are_counted_by_leg() -> None:
 
 def test_equal_runs_have_equal_hashes() -> None:
     """The same values give the same hashes, wherever the record is kept."""
-    heard = run(TICKS + 3)
-    assert hashes(record(heard)) == hashes(record(heard))
-    assert hashes(record(heard)) != hashes(record(run(TICKS + 2)))
+    received = run(TICKS + 3)
+    assert hashes(record(received)) == hashes(record(received))
+    assert hashes(record(received)) != hashes(record(run(TICKS + 2)))
 
 
 def next_to(value: Any) -> Any:
@@ -322,13 +323,13 @@ def next_to(value: Any) -> Any:
 @pytest.mark.parametrize("at", [0, TICKS - 1, TICKS + 2])
 def test_one_bit_of_a_sense_changes_the_hash(name: str, at: int) -> None:
     """Any field of any leg, first tick or last of a begun cycle: only the hash of senses moves."""
-    heard = run(TICKS + 3)
-    sense = heard[at].senses[2]
+    received = run(TICKS + 3)
+    sense = received[at].senses[2]
     change: dict[str, Any] = {name: next_to(getattr(sense, name))}
-    other = heard[at]._replace(
-        senses=(*heard[at].senses[:2], sense._replace(**change), heard[at].senses[3])
+    other = received[at]._replace(
+        senses=(*received[at].senses[:2], sense._replace(**change), received[at].senses[3])
     )
-    before, after = hashes(record(heard)), hashes(record(heard, changed={at: other}))
+    before, after = hashes(record(received)), hashes(record(received, changed={at: other}))
     assert after[0] != before[0]
     assert after[1] == before[1]
 
@@ -336,12 +337,12 @@ def test_one_bit_of_a_sense_changes_the_hash(name: str, at: int) -> None:
 @pytest.mark.parametrize("name", LegCommand._fields)
 def test_one_bit_of_a_command_changes_the_hash(name: str) -> None:
     """Any field: only the hash of commands moves, and lines do not."""
-    heard = run(TICKS)
-    first = heard[9].commands[0]
+    received = run(TICKS)
+    first = received[9].commands[0]
     assert first is not None
     change: dict[str, Any] = {name: next_to(getattr(first, name))}
-    other = heard[9]._replace(commands=(first._replace(**change), *heard[9].commands[1:]))
-    one, two = record(heard), record(heard, changed={9: other})
+    other = received[9]._replace(commands=(first._replace(**change), *received[9].commands[1:]))
+    one, two = record(received), record(received, changed={9: other})
     assert hashes(one)[0] == hashes(two)[0]
     assert hashes(one)[1] != hashes(two)[1]
     assert one.rows == two.rows
@@ -350,8 +351,8 @@ def test_one_bit_of_a_command_changes_the_hash(name: str) -> None:
 @pytest.mark.parametrize("name", [*Transition._fields, "a term"])
 def test_one_bit_of_a_transition_changes_the_hash(name: str) -> None:
     """Any field, the next state and the error too: only the hash of transitions moves."""
-    heard = run(TICKS)
-    first = heard[9].transitions[0]
+    received = run(TICKS)
+    first = received[9].transitions[0]
     assert first is not None
     if name == "a term":
         (term, value), *rest = first.terms
@@ -360,37 +361,45 @@ def test_one_bit_of_a_transition_changes_the_hash(name: str) -> None:
         change = {name: first.terms[:-1]}
     else:
         change = {name: next_to(getattr(first, name))}
-    told = (first._replace(**change), *heard[9].transitions[1:])
-    one, two = record(heard), record(heard, changed={9: heard[9]._replace(transitions=told)})
+    told = (first._replace(**change), *received[9].transitions[1:])
+    one, two = (
+        record(received),
+        record(received, changed={9: received[9]._replace(transitions=told)}),
+    )
     assert hashes(one)[:2] == hashes(two)[:2]
     assert hashes(one)[2] != hashes(two)[2]
 
 
 def test_no_command_is_not_a_command_of_nothing() -> None:
     """An absent leg and one that asks for zero speed are told apart."""
-    heard = run(TICKS)
-    none = heard[9]._replace(commands=(None, *heard[9].commands[1:]))
-    zero = heard[9]._replace(commands=(LegCommand(0, 0.0, 0.0, 0.0, 0.0), *heard[9].commands[1:]))
+    received = run(TICKS)
+    none = received[9]._replace(commands=(None, *received[9].commands[1:]))
+    zero = received[9]._replace(
+        commands=(LegCommand(0, 0.0, 0.0, 0.0, 0.0), *received[9].commands[1:])
+    )
     assert (
-        len({hashes(record(heard, changed={9: tick}))[1] for tick in (heard[9], none, zero)}) == 3
+        len({hashes(record(received, changed={9: tick}))[1] for tick in (received[9], none, zero)})
+        == 3
     )
 
 
 def test_legs_that_change_places_change_the_hash() -> None:
     """The same values in another order are another run."""
-    heard = run(TICKS)
-    turned = heard[5]._replace(senses=heard[5].senses[::-1], commands=heard[5].commands[::-1])
-    before, after = hashes(record(heard)), hashes(record(heard, changed={5: turned}))
+    received = run(TICKS)
+    turned = received[5]._replace(
+        senses=received[5].senses[::-1], commands=received[5].commands[::-1]
+    )
+    before, after = hashes(record(received)), hashes(record(received, changed={5: turned}))
     assert before[0] != after[0]
     assert before[1] != after[1]
 
 
 def test_what_comes_after_the_last_tick_is_not_hashed() -> None:
     """Senses after the run close its last cycle; nobody acted on them."""
-    heard = run(TICKS)
-    wild = tuple(sense._replace(slip=9.0) for sense in heard[-1].senses)
-    other = record(heard, changed={TICKS: heard[-1]._replace(senses=wild)})
-    assert hashes(other) == hashes(record(heard))
+    received = run(TICKS)
+    wild = tuple(sense._replace(slip=9.0) for sense in received[-1].senses)
+    other = record(received, changed={TICKS: received[-1]._replace(senses=wild)})
+    assert hashes(other) == hashes(record(received))
 
 
 def test_hashes_are_the_same_on_every_machine() -> None:
@@ -438,31 +447,31 @@ def test_a_finished_record_is_read_back(tmp_path: Path) -> None:
 
 def test_whole_cycles_are_in_the_file_at_once(tmp_path: Path) -> None:
     """A run that dies loses at most the cycle it was in: each is written when it ends."""
-    heard = run(2 * TICKS)
+    received = run(2 * TICKS)
     recorder = RunStatistics(PARAMS, LEGS, tmp_path)
     lines = []
-    for tick in heard:
+    for tick in received:
         recorder.tick(*tick)
         lines.append((tmp_path / CYCLES).read_text().splitlines()[1:])
-    recorder.finish(heard[-1].senses, heard[-1].body)
+    recorder.finish(received[-1].senses, received[-1].body)
     assert [len(each) for each in lines] == [0] * TICKS + [5] * TICKS + [10]
     assert all(line.count(",") == len(Row._fields) - 1 for line in lines[-1])
 
 
 def test_traces_are_the_body_at_every_tick() -> None:
     """x, y, roll, pitch and yaw at the start of each tick."""
-    heard = run(TICKS)
-    wanted = [(t.body.x, t.body.y, t.body.roll, t.body.pitch, t.body.yaw) for t in heard[:-1]]
-    assert record(heard).traces.tolist() == [x for pose in wanted for x in pose]
+    received = run(TICKS)
+    wanted = [(t.body.x, t.body.y, t.body.roll, t.body.pitch, t.body.yaw) for t in received[:-1]]
+    assert record(received).traces.tolist() == [x for pose in wanted for x in pose]
 
 
 def test_a_heading_counts_whole_turns() -> None:
     """Yaw that jumps from half a turn to the left to half a turn to the right goes on."""
-    heard = [
+    received = [
         tick._replace(body=tick.body._replace(yaw=math.remainder(0.25 * n, math.tau)))
         for n, tick in enumerate(run(2 * TICKS))
     ]
-    recorder = record(heard)
+    recorder = record(received)
     wanted = [0.25 * n for n in range(2 * TICKS)]
     assert recorder.traces.tolist()[4::5] == pytest.approx(wanted)
     assert [row.yaw_rad for row in recorder.body_rows()] == pytest.approx([8.0, 16.0])
@@ -471,10 +480,10 @@ def test_a_heading_counts_whole_turns() -> None:
 
 def test_finishing_twice_is_finishing_once(tmp_path: Path) -> None:
     """A signal after the end adds no line and does not fail."""
-    heard = run(TICKS)
-    recorder = record(heard, tmp_path)
+    received = run(TICKS)
+    recorder = record(received, tmp_path)
     rows, files = list(recorder.rows), (tmp_path / CYCLES).read_bytes()
-    recorder.finish(heard[-1].senses, heard[-1].body)
+    recorder.finish(received[-1].senses, received[-1].body)
     assert recorder.rows == rows
     assert (tmp_path / CYCLES).read_bytes() == files
 
@@ -494,11 +503,11 @@ def test_a_run_of_no_tick(tmp_path: Path) -> None:
 
 def test_looking_on_does_not_disturb() -> None:
     """A summary asked for in the middle of a run changes nothing in it."""
-    heard = run(TICKS + 9)
+    received = run(TICKS + 9)
     recorder = RunStatistics(PARAMS, LEGS)
-    for tick in heard[:-1]:
+    for tick in received[:-1]:
         recorder.tick(*tick)
         recorder.summary()
-    recorder.finish(heard[-1].senses, heard[-1].body)
-    assert hashes(recorder) == hashes(record(heard))
-    assert recorder.rows == record(heard).rows
+    recorder.finish(received[-1].senses, received[-1].body)
+    assert hashes(recorder) == hashes(record(received))
+    assert recorder.rows == record(received).rows

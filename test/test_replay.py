@@ -28,9 +28,9 @@ from leg_node.assembly import empty_table
 from leg_node.table_file import load_table, save_table
 from sim_node.fake import FakeWorld
 from support import bags
-from support.bags import KEPT, Made, write
-from support.configs import small_plan
-from support.learning import BagStatistics, literally
+from support.bags import SHIPPED_BAG, RecordedRun, write
+from support.configs import small_config
+from support.learning import TickSignals, reference_table
 from support.legs import LEGS
 from support.needs import needs_bags, needs_bullet
 from support.ros import Ros
@@ -46,10 +46,10 @@ FALLS = {50, 51, 128}
 
 def config(cycles: int = CYCLES, **options: Any) -> RunConfig:
     """Return a plan on a small table; options with ``__`` in their names are parameters."""
-    return small_plan(cycles, **options)
+    return small_config(cycles, **options)
 
 
-def record(bag: Path, config: RunConfig, **how: Any) -> Made:
+def record(bag: Path, config: RunConfig, **how: Any) -> RecordedRun:
     """Record a run of a plan in a world with falls."""
     return bags.record(bag, config, falls_at=FALLS, **how)
 
@@ -66,7 +66,7 @@ def again(bag: Path, on: str = "loop") -> Replayed:
         return replay(opened, run=BACKENDS[on])
 
 
-def rewrite(made: Made, folder: Path, change: Callable[[Raw], bytes | None]) -> Path:
+def rewrite(made: RecordedRun, folder: Path, change: Callable[[Raw], bytes | None]) -> Path:
     """Copy a bag message by message; ``change`` returns what becomes of one, None for nothing."""
     changed = ((raw, change(raw)) for raw in raws_of(made.bag))
     return write(
@@ -88,13 +88,13 @@ def of_tick(tick: int) -> list[tuple[str, int]]:
 
 
 @pytest.fixture(scope="module")
-def walked(tmp_path_factory: pytest.TempPathFactory) -> Made:
+def walked(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
     """Record one run for all tests that only look at it."""
     return record(tmp_path_factory.mktemp("walked") / "bag", config(4))
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory, walked: Made) -> list[Made]:
+def runs(tmp_path_factory: pytest.TempPathFactory, walked: RecordedRun) -> list[RecordedRun]:
     """Record three runs that know nothing of each other."""
     folder = tmp_path_factory.mktemp("runs")
     others = [config(2, seed=4, policy="random"), config(3, seed=5, policy="scripted")]
@@ -131,11 +131,11 @@ RUNS: dict[str, dict[str, Any]] = {
 
 
 @pytest.fixture(scope="module")
-def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Made]:
+def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], RecordedRun]:
     """Record one of ``RUNS``, once for all tests."""
 
     @functools.cache
-    def made(name: str) -> Made:
+    def made(name: str) -> RecordedRun:
         folder = tmp_path_factory.mktemp("run")
         options = dict(RUNS[name])
         extra = options.pop("extra", 0)
@@ -152,7 +152,7 @@ def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Made]:
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_a_replay_is_the_run_bit_for_bit(run_of: Callable[[str], Made], name: str) -> None:
+def test_a_replay_is_the_run_bit_for_bit(run_of: Callable[[str], RecordedRun], name: str) -> None:
     """All commands come out again, and the table at the end; if the legs learnt, it is another."""
     made = run_of(name)
     with Bag(made.bag) as bag:
@@ -184,7 +184,7 @@ def test_a_replay_of_a_real_world_is_the_run(tmp_path: Path, world: str) -> None
         assert (list(bag.ticks())[-1].body.falls > 0) == (world == "walker")
 
 
-def test_a_replay_can_be_done_again_and_again(walked: Made) -> None:
+def test_a_replay_can_be_done_again_and_again(walked: RecordedRun) -> None:
     """One open bag gives the same twice, and a replay leaves the bag as it was."""
     before = {file: file.read_bytes() for file in walked.bag.iterdir()}
     with Bag(walked.bag) as bag:
@@ -194,7 +194,7 @@ def test_a_replay_can_be_done_again_and_again(walked: Made) -> None:
     assert {file: file.read_bytes() for file in walked.bag.iterdir()} == before
 
 
-def test_a_replay_that_is_stopped_is_equal_up_to_there(walked: Made) -> None:
+def test_a_replay_that_is_stopped_is_equal_up_to_there(walked: RecordedRun) -> None:
     """Half a run is held against half the record, and against no table."""
     with Bag(walked.bag) as bag:
         done = replay(bag, go_on=lambda ticks: ticks < 40)
@@ -223,7 +223,7 @@ def altered(**changes: Any) -> Callable[[Raw], bytes | None]:
     return change
 
 
-def command_of(made: Made, tick: int, leg: str) -> LegCommand:
+def command_of(made: RecordedRun, tick: int, leg: str) -> LegCommand:
     """Return a recorded command."""
     where = absolute("", topics.command(leg).name), tick * TICK_NS
     (data,) = (raw.data for raw in raws_of(made.bag) if (raw.topic, raw.ns) == where)
@@ -232,7 +232,7 @@ def command_of(made: Made, tick: int, leg: str) -> LegCommand:
 
 @pytest.mark.parametrize("field", LegCommand._fields[1:])
 def test_a_changed_command_is_told_with_both_values(
-    tmp_path: Path, walked: Made, field: str
+    tmp_path: Path, walked: RecordedRun, field: str
 ) -> None:
     """Tick, leg and field of the first difference, what was recorded, and what came out."""
     true = getattr(command_of(walked, 70, "rear_left"), field)
@@ -247,7 +247,7 @@ def test_a_changed_command_is_told_with_both_values(
     assert done.table.sha256() == done.recorded_sha256
 
 
-def test_the_least_change_of_a_command_is_a_difference(tmp_path: Path, walked: Made) -> None:
+def test_the_least_change_of_a_command_is_a_difference(tmp_path: Path, walked: RecordedRun) -> None:
     """One bit, the last of a number: nothing is held equal that is not."""
     true = command_of(walked, 70, "rear_left").hip_speed
     (near,) = struct.unpack(
@@ -294,7 +294,9 @@ def damaged(topic: topics.Topic, tick: int, at: int, bits: int) -> Callable[[Raw
 
 
 @pytest.mark.parametrize("name", NUMBERS)
-def test_a_sense_with_one_bit_changed_is_told(tmp_path: Path, walked: Made, name: str) -> None:
+def test_a_sense_with_one_bit_changed_is_told(
+    tmp_path: Path, walked: RecordedRun, name: str
+) -> None:
     """The lowest bit of any number a leg senses: tick and leg are told, by the recorded CRC."""
     topic, at = place_of(name)
     with Bag(rewrite(walked, tmp_path / "bag", damaged(topic, 70, at, 1))) as bag:
@@ -310,7 +312,7 @@ def test_a_sense_with_one_bit_changed_is_told(tmp_path: Path, walked: Made, name
 
 
 def test_of_a_changed_sense_and_a_changed_command_the_first_is_told(
-    tmp_path: Path, walked: Made
+    tmp_path: Path, walked: RecordedRun
 ) -> None:
     """Whatever it is of, the earlier tick is told."""
     true = command_of(walked, 70, "rear_left").hip_torque
@@ -339,7 +341,7 @@ def _first(place: tuple[topics.Topic, int], tick: int) -> tuple[topics.Topic, in
 @pytest.mark.parametrize("what", ["joint_states", "contact"])
 @pytest.mark.slow
 def test_a_sense_that_is_no_message_any_more_is_told(
-    tmp_path: Path, walked: Made, what: str
+    tmp_path: Path, walked: RecordedRun, what: str
 ) -> None:
     """A byte of a joint's name changed: the bag is damaged, and topic and tick are told."""
     topic = getattr(topics, what)("rear_left")
@@ -376,7 +378,7 @@ def test_a_run_that_ended_within_a_cycle_is_replayed_to_its_end(tmp_path: Path) 
 @ways
 @pytest.mark.slow
 def test_a_bag_that_was_cut_off_is_equal_up_to_there(
-    tmp_path: Path, walked: Made, on_graph: str
+    tmp_path: Path, walked: RecordedRun, on_graph: str
 ) -> None:
     """Messages up to the middle of a tick's commands: that tick too, as far as it is there."""
     kept = [raw for raw in raws_of(walked.bag) if raw.ns <= 77 * TICK_NS][:-7]
@@ -412,24 +414,26 @@ MISSING: dict[str, tuple[list[tuple[str, int]], str]] = {
 )
 @pytest.mark.slow
 def test_a_record_with_a_hole_is_replayed_up_to_it(
-    tmp_path: Path, walked: Made, what: str, on_graph: str
+    tmp_path: Path, walked: RecordedRun, what: str, on_graph: str
 ) -> None:
     """Where it ended is told, on loop and graph; up to there all is equal."""
-    gone, says = MISSING[what]
+    gone, reason = MISSING[what]
     done = again(rewrite(walked, tmp_path / "bag", without(*gone)), on_graph)
-    assert done.missing == says
+    assert done.missing == reason
     assert done.difference is None
     assert (done.ticks, done.compared, done.unanswered) == (70, 280, {})
     assert not done.equal
 
 
-def test_a_table_of_the_end_is_not_held_against_one_of_a_hole(tmp_path: Path, walked: Made) -> None:
+def test_a_table_of_the_end_is_not_held_against_one_of_a_hole(
+    tmp_path: Path, walked: RecordedRun
+) -> None:
     """A replay that ends at a hole has no recorded table to be equal to."""
     done = again(rewrite(walked, tmp_path / "bag", without(*of_tick(70))))
     assert done.recorded_sha256 is None
 
 
-def test_a_record_without_a_beginning_says_so(tmp_path: Path, walked: Made) -> None:
+def test_a_record_without_a_beginning_says_so(tmp_path: Path, walked: RecordedRun) -> None:
     """If tick 0 is missing there is nothing to be replayed from."""
     bag = rewrite(walked, tmp_path / "bag", without(*of_tick(0)))
     with pytest.raises(BagError, match="nothing to replay: tick 0 is not in the bag"):
@@ -438,7 +442,7 @@ def test_a_record_without_a_beginning_says_so(tmp_path: Path, walked: Made) -> N
 
 @ways
 def test_a_missing_command_is_counted_and_is_no_difference(
-    tmp_path: Path, walked: Made, on_graph: str
+    tmp_path: Path, walked: RecordedRun, on_graph: str
 ) -> None:
     """The leg that replays says what was not heard: everything else is equal, the table too."""
     gone = [("rear_left/command", tick) for tick in (0, 31, 32, 70)]
@@ -453,7 +457,7 @@ def test_a_missing_command_is_counted_and_is_no_difference(
 
 @ways
 def test_what_is_told_is_the_same_on_loop_and_graph(
-    tmp_path: Path, walked: Made, on_graph: str
+    tmp_path: Path, walked: RecordedRun, on_graph: str
 ) -> None:
     """The first difference is found by real nodes too."""
     true = command_of(walked, 70, "rear_left").knee_speed
@@ -462,7 +466,7 @@ def test_what_is_told_is_the_same_on_loop_and_graph(
     assert done.ticks == walked.ticks
 
 
-def test_a_bag_of_another_recorder_is_not_replayed(tmp_path: Path, walked: Made) -> None:
+def test_a_bag_of_another_recorder_is_not_replayed(tmp_path: Path, walked: RecordedRun) -> None:
     """Without its card nobody knows what determined a run; learnt from it can be all the same."""
     bag = rewrite(walked, tmp_path / "bag", lambda raw: None if "/run/" in raw.topic else raw.data)
     with pytest.raises(BagError, match=r"does not say what determined the run"):
@@ -472,7 +476,7 @@ def test_a_bag_of_another_recorder_is_not_replayed(tmp_path: Path, walked: Made)
 
 @pytest.mark.parametrize("name", ["values", "visits"])
 def test_a_run_whose_first_table_is_lost_is_not_replayed_from_another(
-    tmp_path: Path, run_of: Callable[[str], Made], name: str
+    tmp_path: Path, run_of: Callable[[str], RecordedRun], name: str
 ) -> None:
     """A start table that the card names and the bag does not hold is not taken to be empty."""
     made = run_of("learned, from a table")
@@ -492,7 +496,7 @@ LEARNT = [
 
 @pytest.mark.parametrize("name", LEARNT)
 def test_relearning_with_a_run_s_own_numbers_gives_its_table(
-    run_of: Callable[[str], Made], name: str
+    run_of: Callable[[str], RecordedRun], name: str
 ) -> None:
     """Whatever the policy was, the epochs, the readings and the falls: the SHA-256 of the run."""
     made = run_of(name)
@@ -507,7 +511,7 @@ def test_relearning_with_a_run_s_own_numbers_gives_its_table(
 
 
 def test_relearning_from_the_table_of_the_run_gives_its_table(
-    run_of: Callable[[str], Made],
+    run_of: Callable[[str], RecordedRun],
 ) -> None:
     """A run that went on from a table is learnt again from that table."""
     made = run_of("learned, from a table, smoothed")
@@ -519,13 +523,15 @@ def test_relearning_from_the_table_of_the_run_gives_its_table(
     assert learnt.updates == learnt.table.visits.sum() - before
 
 
-def seen(bag: Path) -> list[BagStatistics]:
+def seen(bag: Path) -> list[TickSignals]:
     """Return what legs could see in a bag."""
     with Bag(bag) as opened:
         return [(tick.beat, tick.senses, tick.commands) for tick in opened.ticks()]
 
 
-def test_relearning_with_other_numbers_is_what_would_have_been_learnt(runs: list[Made]) -> None:
+def test_relearning_with_other_numbers_is_what_would_have_been_learnt(
+    runs: list[RecordedRun],
+) -> None:
     """Worked out by other means, with one table for all: the same table, bit for bit."""
     changes = {
         "walk.smooth": 0.0, "walk.prior": 0.0, "reward.lead": 0,
@@ -536,10 +542,10 @@ def test_relearning_with_other_numbers_is_what_would_have_been_learnt(runs: list
     bags = [made.bag for made in runs]
     learnt = relearn(bags, changes)
     assert learnt.params == own
-    assert learnt.table.sha256() == literally(map(seen, bags), own).sha256()
+    assert learnt.table.sha256() == reference_table(map(seen, bags), own).sha256()
 
 
-def test_many_bags_are_learnt_from_one_after_the_other(runs: list[Made]) -> None:
+def test_many_bags_are_learnt_from_one_after_the_other(runs: list[RecordedRun]) -> None:
     """All in one go is the first, then the second with its table, and so on; sums add up."""
     params = runs[0].config.params
     together = relearn([made.bag for made in runs])
@@ -554,7 +560,7 @@ def test_many_bags_are_learnt_from_one_after_the_other(runs: list[Made]) -> None
     assert together.falls == sum(each.falls for each in alone)
 
 
-def test_the_order_of_bags_is_kept_and_matters(runs: list[Made]) -> None:
+def test_the_order_of_bags_is_kept_and_matters(runs: list[RecordedRun]) -> None:
     """Another order is another table with as many updates; the same order gives the same bits."""
     one, other = (made.bag for made in runs[:2])
     params = runs[0].config.params
@@ -566,7 +572,7 @@ def test_the_order_of_bags_is_kept_and_matters(runs: list[Made]) -> None:
 
 
 @pytest.mark.slow
-def test_a_pass_is_all_bags_once(runs: list[Made]) -> None:
+def test_a_pass_is_all_bags_once(runs: list[RecordedRun]) -> None:
     """Two passes are the bags named twice, in their order; sums are twice as much."""
     one, other = (made.bag for made in runs[:2])
     params = runs[0].config.params
@@ -591,7 +597,7 @@ def test_a_pass_is_all_bags_once(runs: list[Made]) -> None:
     ],
 )
 def test_a_changed_number_changes_the_table_and_the_parameters(
-    tmp_path: Path, walked: Made, name: str, value: Any
+    tmp_path: Path, walked: RecordedRun, name: str, value: Any
 ) -> None:
     """What was changed is in what was learnt and beside it; the table's file goes with both."""
     learnt = relearn([walked.bag], {name: value})
@@ -608,7 +614,9 @@ def test_a_changed_number_changes_the_table_and_the_parameters(
     assert again(made.bag).equal
 
 
-def test_a_number_of_the_other_stage_changes_nothing_unless_it_is_asked_for(walked: Made) -> None:
+def test_a_number_of_the_other_stage_changes_nothing_unless_it_is_asked_for(
+    walked: RecordedRun,
+) -> None:
     """A walker's bag is learnt from with ``walk``; ``stage`` says otherwise."""
     changes = {"train.gamma": 0.3}
     assert relearn([walked.bag], changes).table.sha256() == walked.table
@@ -617,7 +625,7 @@ def test_a_number_of_the_other_stage_changes_nothing_unless_it_is_asked_for(walk
     assert train != relearn([walked.bag], stage="train").table.sha256()
 
 
-def test_the_partition_can_have_another_size(walked: Made) -> None:
+def test_the_partition_can_have_another_size(walked: RecordedRun) -> None:
     """Fewer edges are fewer states: the table has the size that its parameters ask for."""
     changes = {"state.hip_bins": 3, "state.force_edges": [0.5], "state.inclination_edges": [0.0]}
     learnt = relearn([walked.bag], changes)
@@ -626,7 +634,7 @@ def test_the_partition_can_have_another_size(walked: Made) -> None:
     assert learnt.table.visits.sum() == learnt.updates
 
 
-def test_what_is_not_there_is_skipped_and_not_guessed(tmp_path: Path, walked: Made) -> None:
+def test_what_is_not_there_is_skipped_and_not_guessed(tmp_path: Path, walked: RecordedRun) -> None:
     """A leg without senses or command of a tick loses two updates and no other; it is counted."""
     gone = [
         ("rear_left/command", 20),
@@ -645,7 +653,7 @@ def test_what_is_not_there_is_skipped_and_not_guessed(tmp_path: Path, walked: Ma
     assert learnt.table.visits.sum() == learnt.updates
 
 
-def test_a_lost_tick_is_not_credited_over(tmp_path: Path, walked: Made) -> None:
+def test_a_lost_tick_is_not_credited_over(tmp_path: Path, walked: RecordedRun) -> None:
     """Nothing is learnt across a hole: each leg loses the tick's end and the next one's."""
     learnt = relearn([rewrite(walked, tmp_path / "bag", without(*of_tick(70)))])
     assert (learnt.ticks, learnt.skipped) == (walked.ticks - 1, 0)
@@ -655,7 +663,7 @@ def test_a_lost_tick_is_not_credited_over(tmp_path: Path, walked: Made) -> None:
 # -- what cannot be learnt from ----------------------------------------------------------------
 
 
-def test_a_knee_speed_that_is_no_action_is_refused(tmp_path: Path, walked: Made) -> None:
+def test_a_knee_speed_that_is_no_action_is_refused(tmp_path: Path, walked: RecordedRun) -> None:
     """What a leg of other speeds did is in no cell: tick, leg and speed are told."""
     bag = rewrite(walked, tmp_path / "bag", altered(knee_speed=0.125))
     with pytest.raises(BagError, match=r"tick 70, rear_left: a knee speed of 0\.125 rad/s is none"):
@@ -672,7 +680,7 @@ def test_a_knee_speed_that_is_no_action_is_refused(tmp_path: Path, walked: Made)
     ],
 )
 def test_another_gait_or_leg_is_refused(
-    walked: Made, runs: list[Made], name: str, value: Any
+    walked: RecordedRun, runs: list[RecordedRun], name: str, value: Any
 ) -> None:
     """The parameter is named, whether it is a change or what the numbers given say."""
     with pytest.raises(BagError, match=rf"{walked.bag} was recorded with {name} = "):
@@ -681,7 +689,7 @@ def test_another_gait_or_leg_is_refused(
         relearn([runs[1].bag], params=replace(Params(), {name: value}))
 
 
-def test_a_second_bag_of_another_leg_is_refused(tmp_path: Path, walked: Made) -> None:
+def test_a_second_bag_of_another_leg_is_refused(tmp_path: Path, walked: RecordedRun) -> None:
     """Bags that are learnt from together are of one leg and one gait; the bag is named."""
     other = record(tmp_path / "other", config(1, leg__load=30.0))
     with pytest.raises(BagError, match=rf"{other.bag} was recorded with leg\.load = 30\.0"):
@@ -690,7 +698,7 @@ def test_a_second_bag_of_another_leg_is_refused(tmp_path: Path, walked: Made) ->
 
 @pytest.mark.parametrize("life", [100, 40, 3])
 def test_two_runs_in_one_bag_are_not_taken_for_one(
-    tmp_path: Path, runs: list[Made], life: int
+    tmp_path: Path, runs: list[RecordedRun], life: int
 ) -> None:
     """Others' recorders go on when time begins anew: it is said, however short the first run."""
     first = [raw for raw in raws_of(runs[0].bag) if raw.ns < life * TICK_NS]
@@ -700,7 +708,7 @@ def test_two_runs_in_one_bag_are_not_taken_for_one(
         relearn([write(tmp_path / "bag", both)], params=runs[0].config.params)
 
 
-def test_a_change_that_is_none_is_refused(walked: Made) -> None:
+def test_a_change_that_is_none_is_refused(walked: RecordedRun) -> None:
     """An unknown parameter, or a value out of its range, is a ParameterError."""
     with pytest.raises(ParameterError, match=r"reward\.slipp"):
         relearn([walked.bag], {"reward.slipp": 1.0})
@@ -708,7 +716,7 @@ def test_a_change_that_is_none_is_refused(walked: Made) -> None:
         relearn([walked.bag], {"walk.gamma": 1.5})
 
 
-def test_nothing_to_learn_from_and_a_stop_are_said(tmp_path: Path, walked: Made) -> None:
+def test_nothing_to_learn_from_and_a_stop_are_said(tmp_path: Path, walked: RecordedRun) -> None:
     """No bag, one that is not there, and one that is given up half way: each is a BagError."""
     with pytest.raises(BagError, match="there is no bag to learn from"):
         relearn([])
@@ -806,7 +814,7 @@ def test_a_run_never_writes_over_a_bag(tmp_path: Path) -> None:
 )
 def test_the_bag_that_comes_with_the_package_is_replayed(on: str) -> None:
     """Recorded by another process, at another time: every command and the table come out equal."""
-    with Bag(KEPT) as bag:
+    with Bag(SHIPPED_BAG) as bag:
         assert bag.damages == []
         done = replay(bag, run=BACKENDS[on])
     assert done.equal
@@ -818,10 +826,10 @@ def test_the_bag_that_comes_with_the_package_is_replayed(on: str) -> None:
 
 def test_the_bag_that_comes_with_the_package_is_small_and_whole() -> None:
     """Under 3 MB, its first file with the name that reindexing looks for, and with a card."""
-    files = sorted(file.name for file in KEPT.iterdir())
+    files = sorted(file.name for file in SHIPPED_BAG.iterdir())
     assert files == ["metadata.yaml", "walk_0.mcap"]
-    assert sum(file.stat().st_size for file in KEPT.iterdir()) < 3_000_000
-    with Bag(KEPT) as bag:
+    assert sum(file.stat().st_size for file in SHIPPED_BAG.iterdir()) < 3_000_000
+    with Bag(SHIPPED_BAG) as bag:
         assert bag.run_metadata is not None
         assert sum(1 for _ in bag.ticks()) == bag.messages(topics.PHASE)
         assert bag.damages == []
@@ -829,7 +837,7 @@ def test_the_bag_that_comes_with_the_package_is_small_and_whole() -> None:
 
 def test_a_stopped_replay_says_that_it_was_stopped(tmp_path: Path) -> None:
     """What was compared is told; the table of half a run is held against nothing."""
-    with Bag(KEPT) as bag:
+    with Bag(SHIPPED_BAG) as bag:
         done = replay(bag, go_on=lambda ticks: ticks < 100)
     assert done.stopped
     assert done.ticks == 100
@@ -839,7 +847,7 @@ def test_a_stopped_replay_says_that_it_was_stopped(tmp_path: Path) -> None:
 
 def test_legs_of_another_stage_are_not_replayed_as_of_this_one() -> None:
     """A card whose legs had other learning parameters than its world has is refused in words."""
-    with Bag(KEPT) as bag:
+    with Bag(SHIPPED_BAG) as bag:
         assert bag.run_metadata is not None
         legs = {leg: told._replace(stage="train") for leg, told in bag.run_metadata.legs.items()}
         bag.run_metadata = RunMetadata(

@@ -21,10 +21,10 @@ from leg_node.table_file import load_table
 
 pytest.importorskip("pybullet")
 
-PLAN = RunConfig("trainer", 3, seed=1)
+CONFIG = RunConfig("trainer", 3, seed=1)
 
 
-def go(out: Path, config: RunConfig = PLAN, way: str = "loop", **more: Any) -> dict[str, Any]:
+def go(out: Path, config: RunConfig = CONFIG, way: str = "loop", **more: Any) -> dict[str, Any]:
     """Run a plan, as with ``--force``."""
     return run(config, way, out, more.get("go_on", lambda cycles, falls: True), "test")[1]
 
@@ -185,9 +185,9 @@ def test_a_run_replaces_the_earlier_one(tmp_path: Path) -> None:
 def test_a_run_may_start_from_the_table_that_it_replaces(tmp_path: Path) -> None:
     """``--table out/train/table.npz --out out/train --force`` goes on from what was learnt."""
     go(tmp_path)
-    before = load_table(tmp_path / TABLE, PLAN.params)[0].visits.sum()
+    before = load_table(tmp_path / TABLE, CONFIG.params)[0].visits.sum()
     go(tmp_path, RunConfig("trainer", 3, seed=1, table=tmp_path / TABLE))
-    after = load_table(tmp_path / TABLE, PLAN.params)[0].visits.sum()
+    after = load_table(tmp_path / TABLE, CONFIG.params)[0].visits.sum()
     assert after == 2 * before
 
 
@@ -215,11 +215,11 @@ def test_what_is_learnt_is_saved_while_the_loop_runs(
     visits = []
 
     def look(cycles: int, falls: int) -> bool:
-        visits.append(int(load_table(tmp_path / TABLE, PLAN.params)[0].visits.sum()))
+        visits.append(int(load_table(tmp_path / TABLE, CONFIG.params)[0].visits.sum()))
         return True
 
     saved = go(tmp_path, go_on=look)
-    ticks = PLAN.params.gait.ticks
+    ticks = CONFIG.params.gait.ticks
     assert visits == [0, ticks - 1, 2 * ticks - 1]
     monkeypatch.setattr(ember_ros.run, "CHECKPOINT_S", 1e9)
     assert go(tmp_path)["table_sha256"] == saved["table_sha256"]

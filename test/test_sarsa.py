@@ -18,7 +18,7 @@ from leg_node import sarsa
 from leg_node.sarsa import HORIZON, SarsaLambda
 from sim_node.fake import FakeWorld
 from support.legs import LEGS
-from support.runs import Heard
+from support.runs import SignalLog
 
 GAMMA, ACTIONS = 0.5, 2
 VALUES = [[1.0, 2.0], [3.0, -4.0], [5.0, 0.25], [-2.0, 7.0]]
@@ -98,8 +98,8 @@ def test_with_a_lambda_of_0_it_is_one_step_sarsa(monkeypatch: pytest.MonkeyPatch
     """Reward and what is believed of the action that was really chosen next, no other."""
     monkeypatch.setattr(sarsa, "LAMBDA", 0.0)
     chain = long_chain(30)
-    for update, (did, then) in zip(learn(chain), itertools.pairwise(chain), strict=False):
-        assert update.target == did.reward + GAMMA * VALUES[then.state][then.action]
+    for update, (transition, then) in zip(learn(chain), itertools.pairwise(chain), strict=False):
+        assert update.target == transition.reward + GAMMA * VALUES[then.state][then.action]
 
 
 def test_with_a_lambda_of_1_only_the_end_is_believed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,7 +115,7 @@ def test_every_transition_is_updated_once_towards_its_return(ticks: int) -> None
     chain = long_chain(ticks)
     updates = learn(chain)
     assert [update.cell for update in updates] == [
-        did.state * ACTIONS + did.action for did in chain
+        transition.state * ACTIONS + transition.action for transition in chain
     ]
     for n, update in enumerate(updates):
         assert update.target == pytest.approx(by_definition(chain, n, sarsa.LAMBDA), abs=1e-9)
@@ -124,9 +124,9 @@ def test_every_transition_is_updated_once_towards_its_return(ticks: int) -> None
 def test_an_update_waits_until_the_horizon_is_known() -> None:
     """Nothing for as many ticks, then one a tick, stamped with the tick that learns."""
     agent, counts = learner(), []
-    for did in long_chain(HORIZON + 5):
-        updates = list(agent.learn(did))
-        assert all(update.tick == did.tick for update in updates)
+    for transition in long_chain(HORIZON + 5):
+        updates = list(agent.learn(transition))
+        assert all(update.tick == transition.tick for update in updates)
         counts.append(len(updates))
     assert counts == [0] * HORIZON + [1] * 5
     rest = list(agent.flush())
@@ -161,15 +161,15 @@ def test_a_robot_that_learns_by_it_updates_every_transition_once(sync_every: int
         RunConfig("walker", 4, params=params, policy="random"),
         FakeWorld(LEGS, params, falls_at={50, 51, 90}),
     )
-    heard = Heard()
+    received = SignalLog()
     for _ in range(4 * 32 + 3):
-        loop.tick(heard)
+        loop.tick(received)
     table = loop.finish()
     actions = len(params.leg.knee_speeds)
     wanted = [0] * len(table)
-    for told in heard.transitions:
-        for did in told:
-            if did.credited:
-                wanted[did.state * actions + did.action] += 1
+    for told in received.transitions:
+        for transition in told:
+            if transition.credited:
+                wanted[transition.state * actions + transition.action] += 1
     assert sum(wanted) == 4 * (4 * 32 + 3 - 1 - 3)
     assert table.visits.tolist() == wanted

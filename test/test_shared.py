@@ -177,11 +177,11 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize("name", WRONG)
 def test_a_refused_push_changes_nothing(name: str) -> None:
     """One wrong thing in a push: its reason is said, nothing is taken; the right one is."""
-    change, says = WRONG[name]
+    change, reason = WRONG[name]
     table, right = shared_table(), push(0, 0, (0, 1, 3.0))
     table.push(push(1, 0, (0, 1, 5.0)))
     before = repr((table.pending(), table.done(), table.version))
-    with pytest.raises(UpdateError, match=says) as refused:
+    with pytest.raises(UpdateError, match=reason) as refused:
         table.push(right._replace(**change))
     assert isinstance(refused.value, EmberError)
     assert repr((table.pending(), table.done(), table.version)) == before

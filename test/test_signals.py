@@ -57,7 +57,7 @@ def test_a_transition_is_hashed_whole() -> None:
     assert run_statistics._TRANSITION.size == sum(sizes[kind] for kind in hints.values())
 
 
-def did(**changes: Any) -> Transition:
+def transition(**changes: Any) -> Transition:
     """Return a transition."""
     terms = (("height", 0.1), ("slip", 0.2), ("force", 0.3))
     return Transition(5, 7, True, 3, terms, 8, False, -0.5)._replace(**changes)
@@ -65,14 +65,14 @@ def did(**changes: Any) -> Transition:
 
 def test_a_reward_is_the_terms_added_in_their_order() -> None:
     """One after the other, which rounds otherwise than Python 3.12's ``sum`` does."""
-    assert did().reward == 0.0 + 0.1 + 0.2 + 0.3 == 0.6000000000000001
-    assert did(terms=()).reward == 0.0
+    assert transition().reward == 0.0 + 0.1 + 0.2 + 0.3 == 0.6000000000000001
+    assert transition(terms=()).reward == 0.0
 
 
 def test_what_has_no_action_is_not_credited() -> None:
     """-1 says that there was nothing to credit; 0 is the first knee speed."""
-    assert did(action=0).credited
-    assert not did(action=-1).credited
+    assert transition(action=0).credited
+    assert not transition(action=-1).credited
 
 
 def test_legs_have_names_of_their_own() -> None:

@@ -18,7 +18,7 @@ from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat
 from leg_node.table_node import TableNode
 from support.legs import LEGS
-from support.robot import KINDS, PATIENCE_S, Robot, spun
+from support.robot import KINDS, PATIENCE_S, Robot, run_to_end
 from support.ros import Ros
 from support.runs import Bits
 from support.waiting import in_time
@@ -64,7 +64,7 @@ def test_a_lost_message_is_repeated_and_changes_no_bit(
     """The first one, one in a row of two, and one in the middle of an epoch."""
     with closing(Graph(BRIEF, patience=PATIENCE_S, context=ros.context)) as graph:
         lost = lose(PUBLISHERS[what](graph.nodes), 0, 40, 41, 70)
-        assert by_graph(spun(graph)) == by_loop(BRIEF)
+        assert by_graph(run_to_end(graph)) == by_loop(BRIEF)
         assert lost == [0, 40, 41, 70]
         assert not any(getattr(node, "refused", 0) for node in graph.nodes.values())
 
@@ -129,7 +129,7 @@ def test_a_world_that_dies_before_its_first_step_is_followed_by_another(ros: Ros
     robot.kill("sim_node")
     robot.start("leg_front_left")
     robot.start("sim_node", cycles=BRIEF.cycles)
-    robot.walk_to(2 * TICKS)
+    robot.spin_to_tick(2 * TICKS)
     assert not any(robot.sim.recorder.summary()["absent_ticks"].values())
 
 
@@ -143,7 +143,7 @@ def test_phases_of_the_future_do_not_stop_legs_that_wait_for_the_table(ros: Ros)
         phase.publish(wire.BeatWire(TICK_NS).pack(Beat(tick, tick / TICKS)))
     ros.spin_until(lambda: all(1007 in leg._inbox.pending("phase") for leg in legs), "all arrived")
     robot.start("table_node")
-    robot.walk_to(2 * TICKS)
+    robot.spin_to_tick(2 * TICKS)
     assert not any(robot.sim.recorder.summary()["absent_ticks"].values())
 
 
@@ -153,12 +153,12 @@ def test_simulated_time_switches_no_safety_off(ros: Ros) -> None:
     options: dict[str, Any] = {name: {"use_sim_time": True} for name in names}
     options["sim_node"] |= {"cycles": 1000, "patience": 0.5}
     robot = Robot(ros, BRIEF, **options)
-    robot.walk_to(5)
+    robot.spin_to_tick(5)
     robot.kill("leg_front_left")
-    robot.walk_to(robot.tick + TICKS)
+    robot.spin_to_tick(robot.tick + TICKS)
     assert robot.sim.recorder.summary()["absent_ticks"]["front_left"] > 0
     robot.kill("table_node")
-    robot.walk_to(robot.tick + 2 * TICKS)
+    robot.spin_to_tick(robot.tick + 2 * TICKS)
 
 
 class SlowTable(TableNode):
@@ -178,7 +178,7 @@ def test_a_first_table_that_comes_late_is_welcome(
     monkeypatch.setitem(KINDS, "table_node", SlowTable)
     patience: dict[str, Any] = {f"leg_{leg}": {"table_patience": 0.05} for leg in LEGS}
     robot = Robot(ros, BRIEF, sim_node={"patience": PATIENCE_S}, **patience)
-    robot.walk_to(2 * TICKS)
+    robot.spin_to_tick(2 * TICKS)
     assert all(robot.nodes[f"leg_{leg}"].module.copy.version is not None for leg in LEGS)
 
 

@@ -471,10 +471,10 @@ WRONG: dict[str, tuple[Callable[[Content], Content], str]] = {
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_content_is_refused_with_its_reason(saved: Path, name: str) -> None:
     """Whatever part of a table is not as it should be, the message says which."""
-    change, says = WRONG[name]
+    change, reason = WRONG[name]
     with np.errstate(all="ignore"):
         rewrite(saved, change)
-    assert says in refusal(saved)
+    assert reason in refusal(saved)
 
 
 @pytest.mark.parametrize(
@@ -519,9 +519,9 @@ def test_another_oscillator_reads_the_same_table(saved: Path) -> None:
 
 def test_another_number_of_cells(saved: Path) -> None:
     """A table of another size is refused with both sizes."""
-    says = refusal(saved, replace(PARAMS, {"state.hip_bins": 4}))
-    assert "(72, 3)" in says
-    assert "(96, 3)" in says
+    reason = refusal(saved, replace(PARAMS, {"state.hip_bins": 4}))
+    assert "(72, 3)" in reason
+    assert "(96, 3)" in reason
 
 
 # -- files that lie ------------------------------------------------------------------------------
@@ -610,7 +610,7 @@ LIES: dict[str, tuple[Callable[[Path], object], str]] = {
 @pytest.mark.slow
 def test_a_file_that_lies_is_refused_before_it_is_unpacked(saved: Path, name: str) -> None:
     """Whatever a file says of its size: it costs neither time nor memory, and has one line."""
-    spoil, says = LIES[name]
+    spoil, reason = LIES[name]
     spoil(saved)
     tracemalloc.start()
     try:
@@ -618,7 +618,7 @@ def test_a_file_that_lies_is_refused_before_it_is_unpacked(saved: Path, name: st
         most = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert says in said
+    assert reason in said
     assert len(said) < 500
     assert "\n" not in said
     assert most < HUGE / 8

@@ -118,10 +118,12 @@ def test_ros_reads_a_sense_as_it_was_meant(leg: str, sense: LegSense) -> None:
     assert exactly(tuple(joints.position)) == exactly((sense.hip, sense.knee))
     assert exactly(tuple(joints.velocity)) == exactly((sense.hip_speed, sense.knee_speed))
     assert not joints.effort
-    felt = dict(zip(contact.name, contact.position, strict=True))
+    sensed = dict(zip(contact.name, contact.position, strict=True))
     load = dict(zip(contact.name, contact.effort, strict=True))
-    assert exactly((felt["slip"], felt["inclination"])) == exactly((sense.slip, sense.inclination))
-    assert (felt["hair"], felt["touch"], felt["restart"]) == sense[-3:]
+    assert exactly((sensed["slip"], sensed["inclination"])) == exactly(
+        (sense.slip, sense.inclination)
+    )
+    assert (sensed["hair"], sensed["touch"], sensed["restart"]) == sense[-3:]
     assert exactly((load["load"], load["load_peak"])) == exactly(
         (sense.force_mean, sense.force_peak)
     )
@@ -147,13 +149,13 @@ def test_a_transition_survives_bit_for_bit(leg: str, said: list[Transition]) -> 
     The reader is told no names: it finds them in what it hears, also when they change.
     """
     writer, reader = wire.TransitionWire(leg, TICK_NS), wire.TransitionWire(leg, TICK_NS)
-    for did in said:
-        data = writer.pack(did)
-        assert exactly(tuple(reader.read(data))) == exactly(tuple(did))
+    for transition in said:
+        data = writer.pack(transition)
+        assert exactly(tuple(reader.read(data))) == exactly(tuple(transition))
         message = deserialize_message(data, JointState)
-        assert tuple(message.name) == (*wire.TRANSITION, *(name for name, _ in did.terms))
-        said_first = [getattr(did, name) for name in wire.TRANSITION]
-        numbers = [float(value) for value in (*said_first, *(v for _, v in did.terms))]
+        assert tuple(message.name) == (*wire.TRANSITION, *(name for name, _ in transition.terms))
+        said_first = [getattr(transition, name) for name in wire.TRANSITION]
+        numbers = [float(value) for value in (*said_first, *(v for _, v in transition.terms))]
         assert exactly(tuple(message.position)) == exactly(tuple(numbers))
         assert not message.velocity
         assert not message.effort

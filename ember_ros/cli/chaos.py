@@ -12,7 +12,7 @@ from ember_ros.cli import options
 from ember_ros.params_file import load_params
 from ember_ros.shipped import TABLE
 from ember_ros.spinning import stop_signals
-from ember_ros.terminal import command_line, console, progress
+from ember_ros.terminal import console, progress
 
 
 @click.command("chaos")
@@ -44,6 +44,8 @@ def chaos_command(
 
     params = load_params(*params_files, settings=settings)
     config = RunConfig("walker", 1, seed=seed, params=params, table=Path(TABLE))
+    files = [f" --params {file}" for file in params_files] + [f" --set {s}" for s in settings]
+    command = f"ember chaos --minutes {minutes:g} --seed {seed}" + "".join(files)
     folder = Path(tempfile.mkdtemp(prefix="ember_chaos_"))
     with stop_signals() as stop, progress("chaos", 100) as update:
 
@@ -52,7 +54,7 @@ def chaos_command(
             return not stop.requested
 
         results = chaos.chaos(
-            config, folder, minutes=minutes, seed=seed, go_on=go_on, command=command_line()
+            config, folder, minutes=minutes, seed=seed, go_on=go_on, command=command
         )
     names = chaos.write(results, out)
     if results["freezes"] or results["ended_by_themselves"] or results["cells_with_fewer_visits"]:

@@ -1,8 +1,8 @@
-"""What several test files need, a file a subject. ``conftest.py`` makes fixtures of some of it."""
+"""Helpers for several test files, one module per subject; ``conftest.py`` makes some fixtures."""
 
 from pkgutil import iter_modules
 
 import pytest
 
-# Before they are imported: an assertion in there says as much as one in a test.
+# Before their import, so that a failed assertion in them shows its values as in a test.
 pytest.register_assert_rewrite(*(f"{__name__}.{each.name}" for each in iter_modules(__path__)))

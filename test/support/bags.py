@@ -1,4 +1,4 @@
-"""Runs of the loop that are recorded, and bags that are written anew, message by message."""
+"""Recorded runs of the loop, and bags written message by message."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from ember_ros.versions import versions
 from ember_ros.worlds import World
 from sim_node.fake import FakeWorld
 
-KEPT = DATA / BAG
+SHIPPED_BAG = DATA / BAG
 """The bag that comes with the package."""
 
 
-class Made(NamedTuple):
-    """A run that was recorded."""
+class RecordedRun(NamedTuple):
+    """A recorded run."""
 
     bag: Path
     config: RunConfig
     ticks: int
     table: str
-    """SHA-256 at the end."""
+    """SHA-256 of the table at the end."""
 
 
 def record(
@@ -41,34 +41,34 @@ def record(
     namespace: str = "",
     about: Mapping[str, str] | None = None,
     writer: McapWriter | None = None,
-) -> Made:
-    """Record a run of a plan in the loop, and some ticks more.
+) -> RecordedRun:
+    """Record a run of the loop, with some additional ticks.
 
     Args:
         bag: the folder of the bag.
-        config: what is run.
+        config: the configuration of the run.
         falls_at: ticks at which the robot falls in the fake world.
-        world: another world than the fake one.
-        extra: ticks after the plan's last cycle.
-        namespace: of the robot.
-        about: the versions that the card tells; by default those that are installed.
+        world: the world; None for the fake world.
+        extra: number of ticks after the last cycle.
+        namespace: namespace of the robot.
+        about: versions to record in the run metadata; by default the installed ones.
         writer: an open bag to record into; its caller closes it.
     """
     loop = Loop(config, world or FakeWorld(config.legs, config.params, falls_at=falls_at))
-    into = writer or McapWriter(BagOptions(bag))
+    bag_writer = writer or McapWriter(BagOptions(bag))
     try:
         run_metadata = RunMetadata.of_config(config, loop.shared.table, dict(about or versions()))
-        recording = RunWriter(into, run_metadata, loop.shared.table, namespace=namespace)
+        recording = RunWriter(bag_writer, run_metadata, loop.shared.table, namespace=namespace)
         for _ in range(config.cycles * config.params.gait.ticks + extra):
             loop.tick(recording)
         recording.finish()
         sha = loop.finish().sha256()
         if writer is None:
-            into.close({"table_sha256": sha})
-        return Made(bag, config, recording.ticks, sha)
+            bag_writer.close({"table_sha256": sha})
+        return RecordedRun(bag, config, recording.ticks, sha)
     finally:
         if writer is None:
-            into.abandon()
+            bag_writer.abandon()
         loop.close()
 
 
@@ -79,12 +79,12 @@ def raws_of(bag: Path) -> list[Raw]:
 
 
 def write(bag: Path, raws: Iterable[Raw], table_sha256: str | None = None) -> Path:
-    """Write messages as they are into a bag, sealed with the hash of a table if one is given."""
+    """Write messages unchanged into a bag; add the hash of the table at the end if not None."""
     writer = McapWriter(BagOptions(bag))
     try:
         for n, raw in enumerate(raws):
             writer.write(writer.channel(raw.topic, raw.kind), raw.ns, raw.data)
-            if n % 500 == 499:  # a chunk a few ticks, as a recorder leaves them
+            if n % 500 == 499:  # a chunk has a few ticks, as with a recorder
                 writer.flush()
         writer.close({"table_sha256": table_sha256} if table_sha256 else None)
     finally:

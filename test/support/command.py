@@ -1,4 +1,4 @@
-"""``ember`` and scripts as a user starts them: in this process, or in one of their own."""
+"""Run ``ember`` and scripts, in this process or in a child process."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def ember(*words: Any) -> int:
 
 
 def environment(**more: str) -> dict[str, str]:
-    """Return the environment of a child in any folder that imports this repository's packages."""
+    """Return an environment in which a child process imports the packages of this repository."""
     return {**os.environ, "PYTHONPATH": str(ROOT), **more}
 
 
@@ -41,17 +41,17 @@ def child(
     stdout: int = subprocess.PIPE,
     deadline_s: float = DEADLINE_S,
 ) -> subprocess.CompletedProcess[str]:
-    """Run a command in a process of its own, to its end, and return its code and what it said.
+    """Run a command in a child process to its end; return its exit code and output.
 
     Args:
-        words: the command.
-        cwd: the folder it runs in.
-        env: its environment; by default `environment`.
-        stdout: where its standard output goes; by default it is returned.
-        deadline_s: wall time in which it must have ended.
+        words: the command and its arguments.
+        cwd: the working folder.
+        env: the environment; by default that of `environment`.
+        stdout: file descriptor for standard output; by default the output is returned.
+        deadline_s: maximum wall time, s.
 
     Raises:
-        subprocess.TimeoutExpired: it did not end in time; it is killed.
+        subprocess.TimeoutExpired: the command took longer; it was killed.
     """
     return subprocess.run(
         [str(word) for word in words],
@@ -67,23 +67,23 @@ def child(
 
 
 @contextmanager
-def started(words: Sequence[Any], **how: Any) -> Iterator[subprocess.Popen[Any]]:
-    """Start a process, and kill it in the end if it has not ended.
+def started(words: Sequence[Any], **options: Any) -> Iterator[subprocess.Popen[Any]]:
+    """Start a process; kill it at the end of the context if it still runs.
 
     Args:
-        words: the command.
-        how: more of `subprocess.Popen`.
+        words: the command and its arguments.
+        options: further arguments of `subprocess.Popen`.
     """
-    with subprocess.Popen([str(word) for word in words], **how) as process:
+    with subprocess.Popen([str(word) for word in words], **options) as process:
         try:
             yield process
         finally:
-            process.kill()  # or leaving would wait for it without a deadline
+            process.kill()  # otherwise leaving Popen would wait without a deadline
 
 
 @contextmanager
-def nobody_reads() -> Iterator[int]:
-    """Give the writing end of a pipe that nobody reads, as of ``head`` that has ended."""
+def closed_pipe() -> Iterator[int]:
+    """Yield the write end of a pipe whose read end is closed, as after the end of ``head``."""
     read, write = os.pipe()
     os.close(read)
     try:

@@ -1,4 +1,4 @@
-"""Parameters and plans that make a run small."""
+"""Parameters and configurations of small runs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ TINY = replace(
     Params(),
     {"state.hip_bins": 3, "state.force_edges": [0.5], "state.inclination_edges": [-0.5]},
 )
-"""A small table: bags of it are small, too."""
+"""A small table, for small bags."""
 SMALL = replace(
     Params(),
     {
@@ -26,11 +26,11 @@ SMALL = replace(
 
 
 def changed(base: Params, /, **changes: Any) -> Params:
-    """Return parameters with some of them changed; ``__`` in a name stands for the dot."""
+    """Return parameters with changes; ``__`` in a name stands for a dot."""
     return replace(base, {name.replace("__", "."): value for name, value in changes.items()})
 
 
-def small_plan(cycles: int, *, world: str = "walker", seed: int = 3, **options: Any) -> RunConfig:
-    """Return a plan on a small table; options with ``__`` in their names are parameters."""
+def small_config(cycles: int, *, world: str = "walker", seed: int = 3, **options: Any) -> RunConfig:
+    """Return a configuration with a small table; options with ``__`` are parameters."""
     changes = {name: options.pop(name) for name in list(options) if "__" in name}
     return RunConfig(world, cycles, seed=seed, params=changed(SMALL, **changes), **options)

@@ -1,4 +1,4 @@
-"""What four legs learn, written a second time: plainly, and into one table."""
+"""A second, simple implementation of the learning of four legs with one table."""
 
 from __future__ import annotations
 
@@ -12,39 +12,44 @@ from leg_node.discretizer import PaperDiscretizer
 from leg_node.reward import PaperReward
 from leg_node.table import Table
 
-BagStatistics = tuple[Beat, Sequence[LegSense | None], Sequence[LegCommand | None]]
-"""A tick: its beat, and the senses and commands of all legs, of which none may be missing."""
+TickSignals = tuple[Beat, Sequence[LegSense | None], Sequence[LegCommand | None]]
+"""Signals of a tick: beat, and the senses and commands of all legs; none may be missing."""
 
 
-def paid(rewarder: PaperReward, sense: LegSense, stance: bool) -> float:
-    """Return the reward: its terms added one after the other, as no ``sum`` of Python 3.12 does."""
+def reward_of(reward: PaperReward, sense: LegSense, stance: bool) -> float:
+    """Return the reward, the terms added in order (``sum`` of Python 3.12 rounds differently)."""
     total = 0.0
-    for value in rewarder.terms(sense, stance).values():
+    for value in reward.terms(sense, stance).values():
         total += value
     return total
 
 
-def literally(runs: Iterable[Sequence[BagStatistics]], params: Params) -> Table:
-    """Return what four legs write into one table in these runs, tick by tick and leg by leg."""
-    table, learning = empty_table(params), params.walk
-    partition, rewarder = PaperDiscretizer(params), PaperReward(params)
+def reference_table(runs: Iterable[Sequence[TickSignals]], params: Params) -> Table:
+    """Return the table after these runs, updated tick by tick and leg by leg."""
+    table, hyperparameters = empty_table(params), params.walk
+    discretizer, reward = PaperDiscretizer(params), PaperReward(params)
     share = params.gait.stance_share
     speeds = params.leg.knee_speeds
     for run in runs:
         for (beat, senses, commands), (next_beat, next_senses, _) in itertools.pairwise(run):
             updates = []
-            for offset, old, new, did in zip(
+            for offset, old, new, command in zip(
                 params.robot.offset, senses, next_senses, commands, strict=True
             ):
                 assert old is not None
                 assert new is not None
-                assert did is not None
+                assert command is not None
                 if new.first_tick:
                     continue
-                was, now = ((each.phase + offset) % 1.0 < share for each in (beat, next_beat))
-                cell = partition.index(old, was) * len(speeds) + speeds.index(did.knee_speed)
-                best = max(table.row(partition.index(new, now)))
-                updates.append((cell, paid(rewarder, new, was) + learning.gamma * best))
+                old_stance, new_stance = (
+                    (each.phase + offset) % 1.0 < share for each in (beat, next_beat)
+                )
+                old_state = discretizer.index(old, old_stance)
+                new_state = discretizer.index(new, new_stance)
+                cell = old_state * len(speeds) + speeds.index(command.knee_speed)
+                target = reward_of(reward, new, old_stance)
+                target += hyperparameters.gamma * max(table.row(new_state))
+                updates.append((cell, target))
             for cell, target in updates:
-                table.update(cell, target, learning.rate)
+                table.update(cell, target, hyperparameters.rate)
     return table

@@ -1,6 +1,6 @@
-"""Marks for tests that need a library that is not installed everywhere.
+"""Marks for tests that need optional libraries.
 
-What needs rclpy is marked ``ros``: ``conftest.py`` skips it where that is missing.
+Tests that need rclpy have the mark ``ros``; ``conftest.py`` skips them without rclpy.
 """
 
 from __future__ import annotations

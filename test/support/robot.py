@@ -1,4 +1,4 @@
-"""The nodes of a robot in this process, one by one. Needs rclpy."""
+"""The nodes of a robot in this process, started one by one. Needs rclpy."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from support.runs import Bits, by_graph
 from support.waiting import in_time
 
 PATIENCE_S = 30.0
-"""Wall time that nodes wait where bits are compared: a busy machine must not change them."""
+"""Wall time, s, that nodes wait for each other, so that a slow machine does not change the bits."""
 LEG_NODES = tuple(f"leg_{leg}" for leg in LEGS)
 KINDS: dict[str, Any] = {"table_node": TableNode, "cpg_node": CpgNode, "sim_node": SimNode}
 
 
 def overrides(parameters: Mapping[str, Any]) -> list[Parameter]:
-    """Return parameters as rclpy takes them."""
+    """Return parameters as ``rclpy.parameter.Parameter`` objects."""
     return [Parameter(name, value=value) for name, value in parameters.items()]
 
 
 def matched(*nodes: Any) -> bool:
-    """Return whether every subscription of these nodes has every publisher of theirs."""
-    heard = Counter(each.topic_name for node in nodes for each in node.subscriptions)
+    """Return whether all publishers and subscriptions among these nodes are matched."""
+    subscribed = Counter(each.topic_name for node in nodes for each in node.subscriptions)
     return all(
-        each.get_subscription_count() >= heard[each.topic_name]
+        each.get_subscription_count() >= subscribed[each.topic_name]
         for node in nodes
         for each in node.publishers
     )
@@ -48,15 +48,15 @@ def level(message: Any, name: str) -> tuple[bytes, str]:
     return status.level, status.message
 
 
-def spun(graph: Graph) -> Graph:
-    """Run a graph to its end, which must come in time; return it."""
+def run_to_end(graph: Graph) -> Graph:
+    """Run a graph to its end, with a deadline; return it."""
     graph.run(in_time())
     assert graph.sim.done
     return graph
 
 
 class Robot:
-    """The nodes of a plan, each of which can come late, die and come back."""
+    """The nodes of a configuration, each of which can start late, be killed and be restarted."""
 
     def __init__(
         self,
@@ -69,18 +69,18 @@ class Robot:
         world: Callable[[RunConfig], World] | None = None,
         **options: dict[str, Any],
     ) -> None:
-        """Start all nodes but those left out, with some options changed.
+        """Start the nodes.
 
         Args:
-            ros: where they are spun.
-            config: what they run.
-            namespace: of the robot.
+            ros: spins the nodes.
+            config: the configuration of the run.
+            namespace: namespace of the robot.
             without: names of nodes that are not started now.
-            patience: wall time, s, that nodes wait for others; by default their own.
-            world: makes another world than the plan's.
-            options: changes of a node's options, by the node's name.
+            patience: wall time, s, that nodes wait for others; None for their default.
+            world: makes the world; None for the one of the configuration.
+            options: changed node options, by name of the node.
         """
-        self._ros, self._plan, self.namespace, self._world = ros, config, namespace, world
+        self._ros, self._config, self.namespace, self._world = ros, config, namespace, world
         self._options = node_options(config, patience=patience)
         self.nodes: dict[str, Any] = {}
         for name in self._options:
@@ -88,18 +88,18 @@ class Robot:
                 self.start(name, **options.get(name, {}))
 
     def _make(self, name: str, changes: Mapping[str, Any]) -> Any:
-        numbers = {
+        parameters = {
             f"{group}.{field}": value
-            for group, fields in as_dict(self._plan.params).items()
+            for group, fields in as_dict(self._config.params).items()
             for field, value in fields.items()
         }
         extra: dict[str, Any] = {"node_name": name} if name.startswith("leg_") else {}
         if name == "sim_node" and self._world is not None:
-            extra = {"world": self._world(self._plan)}
+            extra = {"world": self._world(self._config)}
         return KINDS.get(name, LegNode)(
             context=self._ros.context,
             namespace=self.namespace,
-            parameter_overrides=overrides({**numbers, **self._options[name], **changes}),
+            parameter_overrides=overrides({**parameters, **self._options[name], **changes}),
             **extra,
         )
 
@@ -110,7 +110,7 @@ class Robot:
 
     @property
     def tick(self) -> int:
-        """Return the world's present tick."""
+        """Return the present tick of the world."""
         return int(self.sim.tick)
 
     @property
@@ -119,12 +119,12 @@ class Robot:
         return str(self.nodes["table_node"].shared.table.sha256())
 
     def start(self, name: str, **changes: Any) -> Any:
-        """Start a node with some options changed, and return it."""
+        """Start a node with changed options, and return it."""
         node = self.nodes[name] = self._ros.add(self._make(name, changes))
         return node
 
     def begin(self, *listeners: Any, **changes: Any) -> None:
-        """Start the world, which was left out, once everybody is matched with it."""
+        """Start the sim node, which was left out, when all nodes are matched with it."""
         sim = self._make("sim_node", changes)
         try:
             self._ros.spin_until(
@@ -134,19 +134,19 @@ class Robot:
             self.nodes["sim_node"] = self._ros.add(sim)
 
     def kill(self, name: str) -> Any:
-        """Destroy a node where it stands, and return it."""
+        """Destroy a node without finishing it, and return it."""
         node = self.nodes.pop(name)
         self._ros.remove(node)
         return node
 
-    def walk_to(self, tick: int) -> None:
+    def spin_to_tick(self, tick: int) -> None:
         """Spin until the world is at a tick, or done."""
         self._ros.spin_until(lambda: self.tick >= tick or self.sim.done, f"tick {tick}")
 
     def finish(self) -> None:
-        """End all nodes, the world first and the table last."""
-        last = {"sim_node": 0, "table_node": 2}
-        for name in sorted(self.nodes, key=lambda name: last.get(name, 1)):
+        """Finish all nodes, the sim node first and the table node last."""
+        order = {"sim_node": 0, "table_node": 2}
+        for name in sorted(self.nodes, key=lambda name: order.get(name, 1)):
             self.nodes[name].finish(self._ros.spin_once)
 
     def run(self) -> Bits:

@@ -1,4 +1,4 @@
-"""A context of rclpy in a domain of its own, and a node to look on from; nothing is left behind."""
+"""An rclpy context in its own domain with a test node; checks that nothing keeps running."""
 
 from __future__ import annotations
 
@@ -14,23 +14,25 @@ from typing import Any
 
 from support.waiting import DEADLINE_S
 
-AGAIN_S = 2.0
-"""Wall time after which a service that did not answer is called again."""
-GOODBYE_S = 30.0
-"""Wall time in which another process' goodbye must have come, or, where the goodbye was lost, its
-lease of 20 s have ended."""
+RETRY_S = 2.0
+"""Wall time, s, after which a service that did not answer is called again."""
+LEAVE_S = 30.0
+"""Wall time, s, after which the nodes of another process must have left the graph. If its leave
+message was lost, they leave when the lease of 20 s ends."""
 DOMAINS = range(1, 101)
-QUIET = 100
-"""Callbacks after which an executor has nothing left for a node that was taken from it."""
+DRAIN_CALLBACKS = 100
+"""Callbacks after which an executor has no work left for a node that was removed from it."""
 
 
 @contextmanager
 def reserved_domain() -> Iterator[int]:
-    """Reserve a domain id that no other test on this machine has."""
+    """Reserve a domain id that no other test on this machine uses."""
     folder = Path(f"/tmp/ember_ros_test_domains.{os.getuid()}")
     folder.mkdir(exist_ok=True)
     first = os.getpid() * 7 + reserved_domain.__dict__.setdefault("count", 0)
-    reserved_domain.__dict__["count"] += 1  # not the one just left: its goodbyes may still travel
+    reserved_domain.__dict__["count"] += (
+        1  # not the previous one: its leave messages may still arrive
+    )
     for n in range(len(DOMAINS)):
         domain = DOMAINS[(first + n) % len(DOMAINS)]
         with (folder / str(domain)).open("w") as lock:
@@ -53,7 +55,7 @@ def _children() -> set[str]:
 
 
 class Ros:
-    """A context in a domain of its own, a node to look on from, and an executor for both."""
+    """A context in its own domain, a test node, and an executor."""
 
     def __init__(self, domain: int) -> None:
         """Initialise the context."""
@@ -63,7 +65,7 @@ class Ros:
         from rclpy.node import Node
         from rclpy.signals import SignalHandlerOptions
 
-        # The level is the process's own: a graph that `ember` ran before keeps it at warnings.
+        # The level belongs to the process: a graph that `ember` ran before sets it to warnings.
         set_logger_level("", LoggingSeverity.INFO)
 
         self.domain = domain
@@ -76,33 +78,33 @@ class Ros:
         self._executor = EventsExecutor(context=self.context)
         self._nodes: list[Any] = []
         self.killed: set[str] = set()
-        """Nodes of processes that were killed: nobody said goodbye for them."""
-        self.node: Any = self.add(Node("onlooker", context=self.context))
+        """Names of the nodes of killed processes, which sent no leave message."""
+        self.node: Any = self.add(Node("test_observer", context=self.context))
 
     def add(self, node: Any) -> Any:
-        """Spin ``node`` from now on, and destroy it in the end; return it."""
+        """Spin ``node`` from now on, and destroy it at the end; return it."""
         self._executor.add_node(node)
         self._nodes.append(node)
         return node
 
     def remove(self, *nodes: Any) -> None:
-        """Destroy ``nodes`` now: the executor lets go of them while it is spun."""
-        gone = {node.get_fully_qualified_name() for node in nodes}
+        """Destroy ``nodes`` now, after the executor has released them."""
+        names = {node.get_fully_qualified_name() for node in nodes}
         for node in nodes:
             self._nodes.remove(node)
             self._executor.remove_node(node)
-        for _ in range(QUIET):  # what is queued for them would be looked for where nothing is
+        for _ in range(DRAIN_CALLBACKS):  # queued callbacks need the nodes to exist
             self.spin_once(0.0)
         for node in nodes:
             node.destroy_node()
         if nodes != (self.node,):
-            self.spin_until(lambda: not gone & self.alive(), f"{gone} destroyed")
+            self.spin_until(lambda: not names & self.alive(), f"{names} destroyed")
 
     def alive(self) -> set[str]:
-        """Return the names of all nodes on the graph that have any endpoint, as a living one has.
+        """Return the names of all nodes on the graph that have a publisher.
 
-        A name alone can stay for ever: what a process says of its nodes may arrive behind its
-        goodbye, and rmw_dds_common then adds a participant that will never say another one.
+        The name of a dead node can stay forever: the graph update of a process may arrive after its
+        leave message, and rmw_dds_common then adds a participant that never leaves.
         """
         from rclpy.node import NodeNameNonExistentError
 
@@ -114,7 +116,7 @@ class Ros:
         return found
 
     def spin_once(self, timeout: float = 0.02) -> None:
-        """Let one callback run, or wait a moment for one."""
+        """Run one callback, or wait for one until the timeout."""
         self._executor.spin_once(timeout_sec=timeout)
 
     def spin_until(
@@ -141,13 +143,13 @@ class Ros:
         """Subscribe to one of ``topics`` and return the list that its messages will be put in."""
         from ember_ros.topics import class_of, latest
 
-        heard: list[Any] = []
+        received: list[Any] = []
         subscription = self.node.create_subscription(
-            class_of(topic.kind), topic.name, heard.append, latest(100_000), raw=raw
+            class_of(topic.kind), topic.name, received.append, latest(100_000), raw=raw
         )
         if matched:
             self.spin_until(subscription.handle.get_publisher_count, f"{topic.name} is published")
-        return heard
+        return received
 
     def client(self, service: Any) -> Any:
         """Return a client of one of ``topics``' services that is ready."""
@@ -156,13 +158,13 @@ class Ros:
         return client
 
     def call(self, client: Any, request: Any, also: Callable[[float], None] | None = None) -> Any:
-        """Call a service and return its answer; call again, as a killed one looks ready too."""
+        """Call a service and return its response; retry, since a killed server looks ready, too."""
         calls = [client.call_async(request)]
         called = time.monotonic()
 
         def answered() -> bool:
             nonlocal called
-            if time.monotonic() > called + AGAIN_S:
+            if time.monotonic() > called + RETRY_S:
                 calls.append(client.call_async(request))
                 called = time.monotonic()
             return any(call.done() for call in calls)
@@ -171,11 +173,11 @@ class Ros:
         return next(call for call in calls if call.done()).result()
 
     def close(self) -> None:
-        """Destroy all, and hold that nothing is left in the context."""
+        """Destroy all nodes, and check that none is left in the context."""
         self.remove(*self._nodes[:0:-1])
         gc.collect()  # nodes whose constructor raised
-        known = {"/onlooker"} | self.killed
-        deadline = time.monotonic() + GOODBYE_S
+        known = {"/test_observer"} | self.killed
+        deadline = time.monotonic() + LEAVE_S
         while self.alive() - known and time.monotonic() < deadline:
             self.spin_once()
         left = self.alive() - known
@@ -187,7 +189,7 @@ class Ros:
 
 @contextmanager
 def ros_in(domain: int) -> Iterator[Ros]:
-    """Open a context in a domain, and hold in the end that nothing that was started runs on."""
+    """Open a context in a domain; check at the end that no thread or process keeps running."""
     threads, children = set(threading.enumerate()), _children()
     ros = Ros(domain)
     try:

@@ -1,4 +1,4 @@
-"""Runs of the loop, and what two runs of one plan must agree in."""
+"""Runs of the loop, and the values that two runs of one configuration must have in common."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from leg_node.table import Table
 
 
 class Bits(NamedTuple):
-    """What two ways of running the same plan must agree in."""
+    """Values that are equal for all modes of running one configuration."""
 
     table: str
     senses: str
@@ -22,8 +22,8 @@ class Bits(NamedTuple):
     falls: int
 
 
-def recorded(config: RunConfig) -> tuple[Table, RunStatistics]:
-    """Run a plan in the loop; return what was learnt and the record."""
+def run_and_record(config: RunConfig) -> tuple[Table, RunStatistics]:
+    """Run a configuration in the loop; return the table and the statistics."""
     loop = Loop(config)
     try:
         recorder = RunStatistics(config.params, config.legs)
@@ -37,8 +37,8 @@ def recorded(config: RunConfig) -> tuple[Table, RunStatistics]:
 
 @functools.cache
 def by_loop(config: RunConfig) -> Bits:
-    """Run a plan in the loop, the specification, once a session."""
-    table, recorder = recorded(config)
+    """Run a configuration in the loop, the reference; cached for the session."""
+    table, recorder = run_and_record(config)
     return bits_of(table.sha256(), recorder.summary())
 
 
@@ -54,11 +54,11 @@ def by_graph(graph: Any) -> Bits:
     return bits_of(graph.nodes["table_node"].shared.table.sha256(), graph.sim.recorder.summary())
 
 
-class Heard:
-    """An observer of a loop that keeps everything, a list a kind and an item a tick."""
+class SignalLog:
+    """Observer that keeps all signals of a loop, one list per signal and one item per tick."""
 
     def __init__(self) -> None:
-        """Begin with nothing."""
+        """Start with empty lists."""
         self.phases: list[Beat] = []
         self.senses: list[tuple[LegSense, ...]] = []
         self.commands: list[tuple[LegCommand, ...]] = []
@@ -73,7 +73,7 @@ class Heard:
         body: BodyState,
         transitions: Sequence[Any],
     ) -> None:
-        """Keep a tick."""
+        """Append a tick."""
         self.phases.append(phase)
         self.senses.append(tuple(senses))
         self.commands.append(tuple(commands))
@@ -81,6 +81,6 @@ class Heard:
         self.transitions.append(tuple(transitions))
 
     @property
-    def seen(self) -> list[tuple[Beat, tuple[LegSense, ...], tuple[LegCommand, ...]]]:
-        """What legs could see: phase, senses and commands of each tick."""
+    def signals(self) -> list[tuple[Beat, tuple[LegSense, ...], tuple[LegCommand, ...]]]:
+        """Return phase, senses and commands of each tick."""
         return list(zip(self.phases, self.senses, self.commands, strict=True))

@@ -10,7 +10,7 @@ DEADLINE_S = 180.0
 
 
 def until(condition: Callable[[], object], what: str, deadline_s: float = DEADLINE_S) -> None:
-    """Wait until a condition holds; ``what`` says which, if it does not come true."""
+    """Wait until a condition holds; ``what`` describes it in the error message."""
     deadline = time.monotonic() + deadline_s
     while not condition():
         assert time.monotonic() < deadline, f"did not come true: {what}"
@@ -18,7 +18,7 @@ def until(condition: Callable[[], object], what: str, deadline_s: float = DEADLI
 
 
 def in_time(deadline_s: float = DEADLINE_S) -> Callable[..., bool]:
-    """Return what says whether a run may go on: it fails after a deadline."""
+    """Return a ``go_on`` function that fails after a deadline."""
     deadline = time.monotonic() + deadline_s
 
     def go_on(*_: object) -> bool:
