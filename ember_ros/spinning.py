@@ -245,8 +245,8 @@ def node_main(
             reaches all nodes at once; a node that is needed continues for at most ``LINGER_S``.
 
     Returns:
-        The exit code: 0 after a signal or when the node is done; 2 after an error; 3 if another
-        node holds the name. Errors are printed in one line.
+        The exit code: 0 after a signal or when the node is done, or its ``exit_code`` if it has
+        one; 2 after an error; 3 if another node holds the name. Errors are printed in one line.
     """
     own_args = _without_ros_args(sys.argv[1:] if args is None else args)
     if not {"-h", "--help"}.isdisjoint(own_args):
@@ -281,7 +281,8 @@ def node_main(
             while is_needed(node) and time.monotonic() < deadline:
                 executor.spin_once(timeout_sec=SPIN_S)
             node.finish(lambda: executor.spin_once(timeout_sec=SPIN_S))
-            return 0
+            exit_code: int = getattr(node, "exit_code", 0)
+            return exit_code
         except EmberError as error:
             print(f"error: {error}", file=sys.stderr)
             return NAME_TAKEN if isinstance(error, NameTakenError) else 2

@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 LOG_WINDOW_S = 5.0
 """Wall time of a window, which starts with the first line of a key, s."""
+MAX_TEXT = 500
+"""Characters of a line; more are cut off: a message of another node may quote megabytes."""
 BURST = 2
 """Lines per window that are logged at once: that a leg is absent, and that it is back."""
 
@@ -73,4 +75,6 @@ class Throttle:
                 self._emit(window.last, window.suppressed - 1)
 
     def _emit(self, text: str, more: int) -> None:
+        if len(text) > MAX_TEXT:
+            text = f"{text[:MAX_TEXT]}..."
         self._log(f"{text} (and {more} more such lines)" if more else text)

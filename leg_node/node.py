@@ -33,6 +33,10 @@ MAX_PATIENCE_S = 30.0  # longest wall time between two requests for the first ta
 WAIT_S = 2.0  # wall time after which a leg logs that it cannot start without the table
 
 
+UPDATES_LOST = 4
+"""Exit code of a leg that ended before the table had all of its updates."""
+
+
 class LegNode(SingleNode, Node):  # type: ignore[misc]
     """Controls one leg, and learns from what the leg does.
 
@@ -71,6 +75,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         kwargs.setdefault("node_name", "leg_node")
         super().__init__(automatically_declare_parameters_from_overrides=True, **kwargs)
         self.done = False
+        self.exit_code = 0
         params = declare_params(self, self.GROUPS)
         options = declare_options(self, self.OPTIONS)
         self._patience = options["table_patience"]  # shorter than the world waits for a leg
@@ -396,6 +401,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
             self.get_logger().error(
                 "the table_node did not acknowledge the last updates; they are lost"
             )
+            self.exit_code = UPDATES_LOST
         if self._save is not None:
             save_table(self._save, copy.table, self._params, self._seed)
 

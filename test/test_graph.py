@@ -25,6 +25,7 @@ from ember_ros.run_config import RunConfig
 from ember_ros.signals import Beat, LegCommand, LegSense, TDUpdate
 from leg_node import calls
 from leg_node.assembly import empty_table
+from leg_node.node import UPDATES_LOST
 from leg_node.shared import LocalCopy, SharedTable, UpdateBatch
 from leg_node.table_file import save_table
 from support.configs import changed
@@ -564,6 +565,19 @@ def test_what_legs_kept_is_handed_in_at_the_end_too(ros: Ros) -> None:
     assert [
         name for name in LEG_NODES if robot.nodes[name].module.copy.oldest_unacknowledged()
     ] == []
+
+
+def test_a_leg_whose_updates_are_lost_ends_with_an_exit_code_of_its_own(ros: Ros) -> None:
+    """The table is gone when the legs end; with a table, the code is 0."""
+    robot = Robot(ros, walk(), sim_node={"cycles": 1000, "patience": 5.0})
+    robot.spin_to_tick(40)
+    legs = [robot.nodes[name] for name in LEG_NODES]
+    legs[0].finish(ros.spin_once)
+    robot.kill("table_node")
+    ros.spin_until(lambda: not legs[1]._push.service_is_ready(), "the table is gone")
+    for leg in legs[1:]:
+        leg.finish(ros.spin_once)
+    assert [leg.exit_code for leg in legs] == [0, *[UPDATES_LOST] * 3]
 
 
 @pytest.mark.slow

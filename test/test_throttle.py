@@ -7,7 +7,7 @@ import re
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ember_ros.throttle import Throttle
+from ember_ros.throttle import MAX_TEXT, Throttle
 
 
 class Said:
@@ -72,3 +72,10 @@ def test_what_is_still_so_is_said_once_a_window_and_never_when_it_is_over() -> N
     said.now = 99.0
     said.throttle.flush()
     assert len(said.lines) == 3
+
+
+def test_a_line_has_a_bound() -> None:
+    """A message that quotes megabytes of another node costs one short line."""
+    lines: list[str] = []
+    Throttle(lines.append).log("key", "x" * 10**6)
+    assert lines == ["x" * MAX_TEXT + "..."]
