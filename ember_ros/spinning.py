@@ -17,6 +17,7 @@ import stat
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -26,8 +27,8 @@ from typing import Any, ClassVar, Protocol, TypeVar
 
 MAX_DOMAIN = 232
 """Greatest ROS_DOMAIN_ID: greater ones give port numbers beyond those of UDP."""
-TRANSPORT_VARIABLES = ("FASTDDS_BUILTIN_TRANSPORTS", "FASTRTPS_DEFAULT_PROFILES_FILE")
-"""Environment variables by which a user selects the transports of Fast DDS."""
+SHUTDOWN_S = 5.0
+"""Wall time that a node has to leave the graph after everything is saved, s."""
 SPIN_S = 0.1
 """Timeout of one spin, s: the longest time until a signal takes effect."""
 FINAL_PUSH_S = 3.0
@@ -41,10 +42,7 @@ def prepare_environment() -> None:
     """Set default environment variables before rclpy is initialised; variables that are set stay.
 
     Discovery is limited to this machine, so that two people in one lab do not drive each other's
-    robots. Messages go by UDP and not through shared memory: a process that is killed while it uses
-    Fast DDS's shared memory can leave other processes deaf, or hang them when they end
-    (eProsima/Fast-DDS issues 5053 and 5469). Without a writable home, logs go to a temporary
-    folder.
+    robots. Without a writable home, logs go to a temporary folder.
 
     Raises:
         ParameterError: ROS 2 cannot start in this environment. In some of these cases its C code
@@ -66,8 +64,6 @@ def prepare_environment() -> None:
             ) from error
     _check_middleware()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    if not any(os.environ.get(name) for name in TRANSPORT_VARIABLES):
-        os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
     home = Path(os.environ.get("HOME", ""))
     if "ROS_LOG_DIR" not in os.environ and not (
         os.environ.get("HOME") and home.is_dir() and os.access(home, os.W_OK)
@@ -268,6 +264,7 @@ def node_main(
 
     with stop_signals() as stop:
         node: N | None = None
+        exit_code = 0
         try:
             prepare_environment()
             _init(args)
@@ -281,12 +278,25 @@ def node_main(
             while is_needed(node) and time.monotonic() < deadline:
                 executor.spin_once(timeout_sec=SPIN_S)
             node.finish(lambda: executor.spin_once(timeout_sec=SPIN_S))
-            exit_code: int = getattr(node, "exit_code", 0)
-            return exit_code
+            exit_code = getattr(node, "exit_code", 0)
         except EmberError as error:
             print(f"error: {error}", file=sys.stderr)
-            return NAME_TAKEN if isinstance(error, NameTakenError) else 2
+            exit_code = NAME_TAKEN if isinstance(error, NameTakenError) else 2
         finally:
+            if args is None:  # this process has nothing else to do
+                _exit_if_stuck(exit_code)
             if node is not None:
                 node.destroy_node()
             rclpy.try_shutdown()
+        return exit_code
+
+
+def _exit_if_stuck(exit_code: int) -> None:
+    """End this process if it has not ended by itself after ``SHUTDOWN_S``.
+
+    A process that was killed while it used the shared memory of Fast DDS can leave a lock behind on
+    which others wait for ever when they leave (eProsima/Fast-DDS issues 5053 and 5469).
+    """
+    watchdog = threading.Timer(SHUTDOWN_S, os._exit, [exit_code])
+    watchdog.daemon = True
+    watchdog.start()

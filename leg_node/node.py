@@ -104,14 +104,17 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         self.lock_name(topics.command(leg))
         self._cells_sha256 = cells_sha256(params)
         self._inbox = Inbox("joints", "contact", "phase")
-        self._beats = wire.BeatWire(params.gait.tick_ns)
-        self._senses = wire.SenseWire(leg, params.gait.tick_ns)
-        self._commands = wire.CommandWire(leg, params.gait.tick_ns)
-        self._transitions = wire.TransitionWire(leg, params.gait.tick_ns)
+        self._beat_wire = wire.BeatWire(params.gait.tick_ns)
+        self._sense_wire = wire.SenseWire(leg, params.gait.tick_ns)
+        self._command_wire = wire.CommandWire(leg, params.gait.tick_ns)
+        self._transition_wire = wire.TransitionWire(leg, params.gait.tick_ns)
         self._throttle = Throttle(lambda text: self.get_logger().warning(text))
-        self._answer: tuple[int, bytes, bytes] | None = None  # tick, transition, command
+        self._last_answer: tuple[int, bytes, bytes] | None = None  # tick, transition, command
         self._start = time.monotonic()
-        # What continues the tick once the table responds; None if no tick waits for the table.
+        # A leg is in one of four states: no tick waits for the table (`_waiting` is None), or one
+        # waits for the first table, for a pull, or for the response to a push. `_on_pull_response`
+        # and `_on_push_response` end a wait; so does `_watch_table`, every WATCH_S, after
+        # `_deadline`. `_waiting` continues the tick, and identifies the wait.
         self._waiting: Callable[[], None] | None = None
         self._on_timeout: Callable[[], None] | None = None
         self._first_pull_patience = self._patience
@@ -122,14 +125,14 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
 
         # Created before the command: endpoints are discovered in the order of their creation, so a
         # world that knows the command's publisher knows that this leg publishes transitions.
-        self._transition = topics.transition(leg).publish(self)
-        self._command = topics.command(leg).publish(self)
+        self._transition_publisher = topics.transition(leg).publish(self)
+        self._command_publisher = topics.command(leg).publish(self)
         topics.joint_states(leg).subscribe(self, self._on_joint_states)
         topics.contact(leg).subscribe(self, self._on_contact)
         topics.PHASE.subscribe(self, self._on_phase)
         if self.module.shared:
-            self._push = topics.PUSH.call(self)
-            self._pull = topics.PULL.call(self)
+            self._push_client = topics.PUSH.call(self)
+            self._pull_client = topics.PULL.call(self)
             create_steady_timer(self, WATCH_S, self._watch_table)
 
     # -- inputs ------------------------------------------------------------------------------
@@ -140,16 +143,16 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         self._throttle.remind("refused", f"refused ({self.refused} so far): {why}")
 
     def _on_joint_states(self, data: bytes) -> None:
-        self._receive("joints", data, self._senses.read_joints)
+        self._receive("joints", data, self._sense_wire.read_joints)
 
     def _on_contact(self, data: bytes) -> None:
-        self._receive("contact", data, self._senses.read_contact)
+        self._receive("contact", data, self._sense_wire.read_contact)
 
     def _on_phase(self, data: bytes) -> None:
         self._receive("phase", data, self._read_beat)
 
     def _read_beat(self, data: bytes) -> tuple[int, Beat]:
-        beat = self._beats.read(data)
+        beat = self._beat_wire.read(data)
         return beat.tick, beat
 
     def _receive(self, source: str, data: bytes, read: Callable[[bytes], tuple[int, Any]]) -> None:
@@ -169,13 +172,17 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
             if self._waiting is None:
                 self._start_if_complete(tick)
         elif self._inbox.time_restarted():
-            self.get_logger().warning(f"time restarted at tick {tick}, the last was {last}")
-            self.module.reset(last, uuid.uuid4().hex)
-            self._start_if_complete(tick)
+            self._restart_time(tick, last)
         elif receipt is Receipt.OVER:
             self._refuse(f"{self.module.leg} {source}: tick {tick} is over, last was {last}")
-        elif source == "joints" and self._answer is not None and self._answer[0] == tick:
-            self._publish_answer()  # once, although three messages are repeated
+        elif source == "joints":  # they stand for all three messages of a repeated tick
+            self._publish_answer(tick)
+
+    def _restart_time(self, tick: int, last: int) -> None:
+        """Begin anew at the first tick of a new world; what was learned stays."""
+        self.get_logger().warning(f"time restarted at tick {tick}, the last was {last}")
+        self.module.reset(last, uuid.uuid4().hex)
+        self._start_if_complete(tick)
 
     def _start_if_complete(self, tick: int) -> None:
         """Start a tick if all its messages have arrived and the table is or was available."""
@@ -186,7 +193,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         values = self._inbox.pop(tick)
         if values is not None:
             joints, contact, beat = values
-            self._start_tick(self._senses.sense(tick, joints, contact), beat)
+            self._start_tick(self._sense_wire.sense(tick, joints, contact), beat)
 
     def _start_available_ticks(self) -> None:
         """Start the ticks whose messages arrived while another tick waited for the table."""
@@ -195,7 +202,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
                 self._start_if_complete(tick)
 
     def _table_available(self) -> bool:
-        return bool(self._pull.service_is_ready() and self._push.service_is_ready())
+        return bool(self._pull_client.service_is_ready() and self._push_client.service_is_ready())
 
     # -- one tick ----------------------------------------------------------------------------
 
@@ -217,7 +224,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
 
     def _send_pull(self, upto: int, then: Callable[[], None]) -> None:
         """Request what changed up to an epoch; the response continues the tick with ``then``."""
-        future = self._pull.call_async(calls.write_pull(self.module.copy.version, upto))
+        future = self._pull_client.call_async(calls.write_pull(self.module.copy.version, upto))
         future.add_done_callback(lambda done: self._on_pull_response(done, upto, then))
 
     def _wait_for_first_table(self, upto: int, then: Callable[[], None]) -> None:
@@ -265,20 +272,20 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
             self._wait(self._push_wait)
 
     def _publish(self, command: LegCommand) -> None:
-        self._answer = (
+        self._last_answer = (
             command.tick,
-            self._transitions.pack(self.module.last_transition),
-            self._commands.pack(command),
+            self._transition_wire.pack(self.module.last_transition),
+            self._command_wire.pack(command),
         )
-        self._publish_answer()
+        self._publish_answer(command.tick)
         self._start_available_ticks()
 
-    def _publish_answer(self) -> None:
-        """Publish the transition and the command of the last tick."""
-        assert self._answer is not None
-        _, transition, command = self._answer
-        self._transition.publish(transition)
-        self._command.publish(command)
+    def _publish_answer(self, tick: int) -> None:
+        """Publish transition and command of a tick, if it is the last one that was answered."""
+        if self._last_answer is not None and self._last_answer[0] == tick:
+            _, transition, command = self._last_answer
+            self._transition_publisher.publish(transition)
+            self._command_publisher.publish(command)
 
     # -- the table ---------------------------------------------------------------------------
 
@@ -288,7 +295,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         if push is None or push is self._pushing:
             return
         self._pushing = push
-        future = self._push.call_async(calls.write_push(push))
+        future = self._push_client.call_async(calls.write_push(push))
         future.add_done_callback(lambda done: self._on_push_response(done, push))
 
     def _on_push_response(self, future: Future, push: UpdateBatch) -> None:
@@ -370,7 +377,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         if self.module.copy.oldest_unacknowledged() is not None:
             self._send_push()
         else:  # a leg that does not learn has nothing to push
-            future = self._pull.call_async(calls.write_pull(self.module.copy.version, -1))
+            future = self._pull_client.call_async(calls.write_pull(self.module.copy.version, -1))
             future.add_done_callback(lambda done: self._mark_table_present())
 
     def _mark_table_present(self) -> None:
@@ -391,7 +398,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         now = resend_at = time.monotonic()
         deadline = now + max(FINAL_PUSH_S, self._patience)
         while copy.oldest_unacknowledged() is not None and (now := time.monotonic()) < deadline:
-            if not self._push.service_is_ready():
+            if not self._push_client.service_is_ready():
                 break
             if now >= resend_at:  # the table may have restarted; a repeated push changes nothing
                 self._pushing, resend_at = None, now + RESEND_S

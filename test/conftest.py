@@ -70,7 +70,6 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")  # as our processes do
         patch.setenv("ROS_LOG_DIR", str(tmp_path_factory.mktemp("log")))
         patch.delenv("ROS_LOCALHOST_ONLY", raising=False)
         patch.delenv("ROS_STATIC_PEERS", raising=False)

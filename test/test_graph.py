@@ -574,7 +574,7 @@ def test_a_leg_whose_updates_are_lost_ends_with_an_exit_code_of_its_own(ros: Ros
     legs = [robot.nodes[name] for name in LEG_NODES]
     legs[0].finish(ros.spin_once)
     robot.kill("table_node")
-    ros.spin_until(lambda: not legs[1]._push.service_is_ready(), "the table is gone")
+    ros.spin_until(lambda: not legs[1]._push_client.service_is_ready(), "the table is gone")
     for leg in legs[1:]:
         leg.finish(ros.spin_once)
     assert [leg.exit_code for leg in legs] == [0, *[UPDATES_LOST] * 3]

@@ -49,8 +49,8 @@ PUBLISHERS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "joint_states": lambda nodes: nodes["sim_node"]._joints[3],
     "contact": lambda nodes: nodes["sim_node"]._contacts[3],
     "phase": lambda nodes: nodes["cpg_node"]._publisher,
-    "command": lambda nodes: nodes[TRAILING]._command,
-    "transition": lambda nodes: nodes[TRAILING]._transition,
+    "command": lambda nodes: nodes[TRAILING]._command_publisher,
+    "transition": lambda nodes: nodes[TRAILING]._transition_publisher,
 }
 
 
