@@ -171,3 +171,12 @@ def test_a_run_below_nohup_goes_on(out: Path) -> None:
         ember.send_signal(signal.SIGHUP)
         assert ember.wait(DEADLINE_S) == 0
     assert '"complete": true' in (out / SUMMARY).read_text()
+
+
+def test_a_process_that_hangs_when_it_ends_exits_with_its_code() -> None:
+    """Nothing is left to save then; who started it is not kept waiting."""
+    code = (
+        "import threading; from ember_ros import spinning; spinning.SHUTDOWN_S = 0.1; "
+        "spinning._exit_if_stuck(4); threading.Event().wait()"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=DEADLINE_S).returncode == 4
