@@ -27,8 +27,7 @@ help: ## list the targets (the default)
 
 venv: $(STAMP) ## make .venv and install the package into it, editable
 
-# Launch files and wrappers are copied into .venv even by an editable install. Nodes can be called by
-# their bare names in .venv only: an installed package puts nothing but `ember` into PATH.
+# Launch files and wrappers are copied into .venv even by an editable install.
 $(STAMP): pyproject.toml package.xml $(wildcard ember_ros/launch/* ember_ros/config/* ember_ros/resource/lib/*)
 	@python='$(PYTHON)'; \
 	if ! test -x $(VENV)/bin/python; then \
@@ -40,10 +39,6 @@ $(STAMP): pyproject.toml package.xml $(wildcard ember_ros/launch/* ember_ros/con
 	  || echo "pybullet has a wheel for Python 3.11 only: it is compiled now, for about five minutes"
 	@echo "installing into $(VENV)"
 	@$(VENV)/bin/python -m pip install --quiet --editable '.[all,test]'
-	@for node in $(notdir $(wildcard ember_ros/resource/lib/*)); do \
-	  printf '#!/bin/sh\nexec "$$(dirname -- "$$0")/ember" node %s "$$@"\n' $$node > $(VENV)/bin/$$node; \
-	  chmod 755 $(VENV)/bin/$$node; \
-	done
 	@touch $@
 
 demo: $(STAMP) ## train a leg, let four of them walk, write what came of it to out/demo
