@@ -68,16 +68,16 @@ class DurableTable(SharedTable):
         Raises:
             TableError: one of them is not a valid push.
         """
-        for push in stored.pushes:
+        for batch in stored.pushes:
             try:
-                self._check(push)
+                self._check(batch)
             except (UpdateError, TypeError) as error:
                 raise TableError(f"the store is damaged: {error}") from error
-            self._pending.setdefault(push.epoch, []).append(push)
+            self._pending.setdefault(batch.epoch, []).append(batch)
         self._runs = dict(stored.runs)
         self._newest = max(self._runs.values(), default=None)
 
-    def push(self, push: UpdateBatch) -> bool:
+    def push(self, batch: UpdateBatch) -> bool:
         """Store the updates of an epoch, then take them.
 
         Returns:
@@ -87,42 +87,44 @@ class DurableTable(SharedTable):
             UpdateError: it is malformed; nothing of it is taken.
             TableError: it could not be stored; nothing of it is taken, and it may be sent again.
         """
-        self._check(push)
-        run = (push.leg, push.run)
+        self._check(batch)
+        run = (batch.leg, batch.run)
         last = self._runs.get(run)
-        if last is not None and push.epoch <= last:
+        if last is not None and batch.epoch <= last:
             return False
-        if last is None and sum(leg == push.leg for leg, _ in self._runs) >= MAX_RUNS_PER_LEG:
+        if last is None and sum(leg == batch.leg for leg, _ in self._runs) >= MAX_RUNS_PER_LEG:
             raise UpdateError(
-                f"push of leg {push.leg}: the table knows {MAX_RUNS_PER_LEG} runs of this leg and "
+                f"push of leg {batch.leg}: the table knows {MAX_RUNS_PER_LEG} runs of this leg and "
                 "takes no more; restart the table_node"
             )
         if self.merges_pushes:
             if self._store is not None:
                 if self._store.pushes >= MAX_PUSHES:
                     self.checkpoint()
-                self._store.add(push)
-            self._pending.setdefault(push.epoch, []).append(push)
+                self._store.add(batch)
+            self._pending.setdefault(batch.epoch, []).append(batch)
             while sum(map(len, self._pending.values())) > MAX_PENDING_PUSHES:
                 self.merge(min(self._pending))
-        self._runs[run] = push.epoch
-        self._newest = push.epoch if self._newest is None else max(self._newest, push.epoch)
+        self._runs[run] = batch.epoch
+        self._newest = batch.epoch if self._newest is None else max(self._newest, batch.epoch)
         return True
 
-    def _check(self, push: UpdateBatch) -> None:
-        super()._check(push)
-        where = f"push of leg {push.leg}, epoch {push.epoch}"
-        known = (push.leg, push.run) in self._runs
-        if known and self._newest is not None and push.epoch > self._newest + MAX_AHEAD:
+    def _check(self, batch: UpdateBatch) -> None:
+        super()._check(batch)
+        where = f"push of leg {batch.leg}, epoch {batch.epoch}"
+        known = (batch.leg, batch.run) in self._runs
+        if known and self._newest is not None and batch.epoch > self._newest + MAX_AHEAD:
             raise UpdateError(
                 f"{where}: the newest epoch of all legs is {self._newest}; up to {MAX_AHEAD} more "
                 "would be right"
             )
         limit = MAX_EPOCHS_PER_PUSH * max(1, self._sync_every)
-        if len(push.updates) > limit:
-            raise UpdateError(f"{where}: {len(push.updates)} updates; up to {limit} would be right")
-        for update in push.updates:
-            if update.tick >= (push.epoch + 1) * self._sync_every:
+        if len(batch.updates) > limit:
+            raise UpdateError(
+                f"{where}: {len(batch.updates)} updates; up to {limit} would be right"
+            )
+        for update in batch.updates:
+            if update.tick >= (batch.epoch + 1) * self._sync_every:
                 raise UpdateError(
                     f"{where}: tick {update.tick} is after this epoch of {self._sync_every} ticks "
                     "(sync_every); give the leg and the table the same parameter file and stage"

@@ -239,8 +239,7 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
             self._send_pull(upto, then)
             self._wait_for_first_table(upto, then)
 
-        self._wait(then, ask_again)
-        self._deadline = time.monotonic() + self._first_pull_patience
+        self._wait(then, ask_again, self._first_pull_patience)
 
     def _on_pull_response(self, future: Future, upto: int, waiting: Callable[[], None]) -> None:
         if self._waiting is not waiting:
@@ -318,16 +317,22 @@ class LegNode(SingleNode, Node):  # type: ignore[misc]
         elif self._push_wait is not None and self._waiting is self._push_wait:
             self._resume()
 
-    def _wait(self, then: Callable[[], None], on_timeout: Callable[[], None] | None = None) -> None:
+    def _wait(
+        self,
+        then: Callable[[], None],
+        on_timeout: Callable[[], None] | None = None,
+        patience: float | None = None,
+    ) -> None:
         """Hold the tick until the table responds.
 
         Args:
             then: continues the tick, and identifies this wait.
-            on_timeout: is called if the table does not respond in time; for None, the tick
-                continues without the table.
+            on_timeout: is called by ``_watch_table`` if the table does not respond in time; for
+                None, the tick continues without the table.
+            patience: wall time to wait, s; ``table_patience`` for None.
         """
         self._waiting, self._on_timeout = then, on_timeout
-        self._deadline = time.monotonic() + self._patience
+        self._deadline = time.monotonic() + (self._patience if patience is None else patience)
 
     def _resume(self) -> None:
         then, self._waiting = self._waiting, None

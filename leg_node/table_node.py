@@ -66,20 +66,23 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
         self._save = Path(options["save"]) if options["save"] else None
         self._seed = options["seed"]
         learning_params = learning_params_of(params, options["stage"])
-        cells = cells_sha256(params)
+        self._cells_sha256 = cells_sha256(params)
         self._store: TableStore | None = None
-        self._loaded = False  # whether the table was read from a file
         if self._save is not None:
-            self._store = TableStore(self._save, cells, options["durability"])
+            self._store = TableStore(self._save, self._cells_sha256, options["durability"])
         try:
-            start = Path(options["table"]) if options["table"] else None
             stored = self._load_store()
-            table = stored.table if stored else self._load_table(start, options["fresh"])
-            self._has_history = stored is not None or self._loaded
+            if stored is not None:
+                file, table = None, stored.table
+            else:
+                start = Path(options["table"]) if options["table"] else None
+                file = self._file_to_load(start, options["fresh"])
+                table = self._load_table(file) if file else empty_table(params)
+            self._has_history = stored is not None or file is not None
             self.shared = DurableTable(
                 table,
                 legs=len(params.robot.legs),
-                cells=cells,
+                cells=self._cells_sha256,
                 rate=learning_params.rate,
                 sync_every=learning_params.sync_every,
                 life=1 + secrets.randbelow(MAX_LIFE),
@@ -123,22 +126,23 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
         )
         return stored
 
-    def _load_table(self, start: Path | None, fresh: bool) -> Table:
-        """Return the table to start from: an existing file ``save`` before ``table``.
+    def _file_to_load(self, start: Path | None, fresh: bool) -> Path | None:
+        """Return the file to start from: ``save`` if it exists, otherwise ``table``, if any."""
+        if self._save is None or fresh or not self._save.exists():
+            return start
+        ignored = f"; the parameter table = {start} is ignored" if start else ""
+        self.get_logger().warning(
+            f"continuing from {self._save}, which exists already{ignored}; -p fresh:=true starts "
+            "anew"
+        )
+        return self._save  # never overwrite what was learned
+
+    def _load_table(self, file: Path) -> Table:
+        """Return the table in a file; log the parameters that differ.
 
         Raises:
-            TableError: a file cannot be used.
+            TableError: the file cannot be used.
         """
-        file = start
-        if self._save is not None and self._save.exists() and not fresh:
-            file = self._save  # never overwrite what was learned
-            ignored = f"; the parameter table = {start} is ignored" if start else ""
-            self.get_logger().warning(
-                f"continuing from {file}, which exists already{ignored}; -p fresh:=true starts anew"
-            )
-        self._loaded = file is not None
-        if file is None:
-            return empty_table(self._params)
         table, about = load_table(file, self._params)
         differences = describe_differences(file, about, self._params, self.GROUPS)
         if differences is not None:
@@ -193,7 +197,7 @@ class TableNode(SingleNode, Node):  # type: ignore[misc]
             return response  # empty: this service type has no other way to refuse
         changes = self.shared.pull(since, upto)
         response.values = calls.write_pull_response(
-            wanted, changes, cells_sha256(self._params), self._about
+            wanted, changes, self._cells_sha256, self._about
         )
         return response
 
